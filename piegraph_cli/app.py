@@ -1,0 +1,287 @@
+"""The command line: one command per stage, made from the stage table, and the commands around them.
+
+Results go to stdout, everything else to stderr. Nothing heavy is imported before a command runs.
+"""
+
+import contextlib
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from inspect import Parameter, Signature
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import typer
+
+from piegraph_cli import __version__
+from piegraph_cli.errors import PiegraphError, UsageError
+from piegraph_cli.params import Params
+from piegraph_cli.stages import STAGES, Stage
+
+app = typer.Typer(
+    help="Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    add_completion=False,
+)
+
+FEW = 8
+"""Up to this many sequences are listed one by one."""
+
+RunFolder = Annotated[Path, typer.Option("--run", help="run folder")]
+Force = Annotated[bool, typer.Option("--force", help="make it again even if it is fresh")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="sequences worked on at a time")]
+Backend = Annotated[Literal["local", "ray"], typer.Option("--backend", help="this machine, or a Ray cluster")]
+Device = Annotated[Literal["auto", "cpu", "cuda"], typer.Option("--device", help="device of the network")]
+AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object")]
+
+
+@dataclass(frozen=True)
+class _Report:
+    """What a command prints: an object for `--json`, lines for people, and the exit code."""
+
+    value: dict[str, Any]
+    lines: list[str]
+    exit_code: int = 0
+
+
+def _emit(report: _Report, as_json: bool) -> None:
+    print(json.dumps(report.value, indent=1) if as_json else "\n".join(report.lines))
+    if report.exit_code:
+        raise typer.Exit(report.exit_code)
+
+
+def _summary(outcomes: list, folder: Path) -> _Report:
+    """A line per stage, or per sequence where there are few; failures last. The exit code is the first failure's."""
+    lines, failed = [], [o for o in outcomes if o.error]
+    for name in dict.fromkeys(o.stage for o in outcomes):
+        of_stage = [o for o in outcomes if o.stage == name and not o.error]
+        if len(of_stage) > FEW:
+            cached = sum(o.state == "cached" for o in of_stage)
+            lines.append(f"{name:24s} {len(of_stage)} sequences, {cached} of them fresh already; last: {of_stage[-1].quality}")
+        else:
+            lines += [f"{name} {o.sequence or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
+    lines += [f"FAILED {o.stage} {o.sequence or ''}: {str(o.error).splitlines()[0]}" for o in failed]
+    value = {"run": str(folder), "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes]}
+    return _Report(value, lines or ["nothing to do"], failed[0].error.exit_code if failed else 0)
+
+
+@contextlib.contextmanager
+def _logging_to(folder: Path) -> Iterator[None]:
+    """Log to stderr, and with details to RUN/run.log."""
+    log = logging.getLogger("piegraph")
+    log.setLevel(logging.DEBUG)
+    stderr = logging.StreamHandler(sys.stderr)
+    stderr.setLevel(logging.INFO)
+    stderr.setFormatter(logging.Formatter("%(message)s"))
+    folder.mkdir(parents=True, exist_ok=True)
+    file = logging.FileHandler(folder / "run.log", encoding="utf-8")
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    log.handlers = [stderr, file]
+    log.debug("piegraph %s: %s", __version__, sys.argv[1:])
+    try:
+        yield
+    finally:
+        log.handlers = []
+        file.close()
+
+
+def _stage_command(stage: Stage) -> Callable[..., None]:
+    """A command with one option per setting of the stage; given options are kept in the run's recipe."""
+
+    def command(run: Path, force: bool, jobs: int, backend: str, device: str, as_json: bool, **values: Any) -> None:
+        from piegraph_cli.workspace.execute import Options, run_stage
+        from piegraph_cli.workspace.run import Run
+
+        given = {name: value for name, value in values.items() if value is not None}
+        opened = Run.open(run)
+        opened.recipe = opened.recipe.with_values(stage, given, f"piegraph {stage.name}")
+        with _logging_to(run):
+            opened.save_recipe()
+            outcomes = run_stage(run, stage, Options(force, jobs, backend, device))  # type: ignore[arg-type]
+            report = _summary(outcomes, run)
+        if stage.name in ("plan", "evaluate") and not report.exit_code:
+            report = _described(stage, run)
+        _emit(report, as_json)
+
+    common = {"run": RunFolder, "force": Force, "jobs": Jobs, "backend": Backend, "device": Device, "as_json": AsJson}
+    defaults = {"force": False, "jobs": 1, "backend": "local", "device": "auto", "as_json": False}
+    signature = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=defaults.get(name, Parameter.empty), annotation=annotation)
+        for name, annotation in common.items()
+    ]
+    signature += _options(stage.params)
+    command.__signature__ = Signature(signature)  # type: ignore[attr-defined]
+    command.__doc__ = stage.help[0].upper() + stage.help[1:] + "."
+    return command
+
+
+def _options(params: type[Params]) -> list[Parameter]:
+    """One typer option per setting; left out means: as in the run's recipe, else the default."""
+    options = []
+    for name, field in params.model_fields.items():
+        kind: Any = field.annotation
+        if type(None) in get_args(kind):
+            kind = next(a for a in get_args(kind) if a is not type(None))
+        if get_origin(kind) is dict:
+            continue
+        if kind not in (int, float, bool, Path) and get_origin(kind) is not Literal:
+            kind = str
+        default = field.default
+        shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+        text = f"{field.description} [default: {shown}]" if default is not None else field.description
+        flag = f"--{name.replace('_', '-')}"
+        option = typer.Option(f"{flag}/--no-{flag[2:]}" if kind is bool else flag, help=text, show_default=False)
+        annotation = Annotated[kind | None, option] if get_origin(kind) is not Literal else Annotated[kind, option]
+        options.append(Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation))
+    return options
+
+
+def _described(stage: Stage, folder: Path) -> _Report:
+    """What `evaluate` and `plan` print: the numbers themselves."""
+    from importlib import import_module
+
+    from piegraph_cli.workspace.artifact import read_artifact
+
+    artifact = read_artifact(folder / f"{stage.writes}.h5", stage.writes)
+    return _Report(*import_module(f"piegraph_cli.stages.{stage.name}").describe(artifact))
+
+
+for _stage in STAGES.values():
+    if _stage.name != "simulate":
+        app.command(_stage.name)(_stage_command(_stage))
+
+
+@app.command()
+def run(
+    recipe: Annotated[str | None, typer.Argument(help="a .toml file or the name of a shipped recipe")] = None,
+    run: Annotated[Path | None, typer.Option("--run", help="run folder [default: runs/RECIPE]")] = None,
+    until: Annotated[str | None, typer.Option(help="last stage to run")] = None,
+    set: Annotated[list[str] | None, typer.Option("--set", help="STAGE.SETTING=VALUE, in place of the recipe's")] = None,
+    force: Force = False,
+    jobs: Jobs = 1,
+    backend: Backend = "local",
+    device: Device = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Run a recipe from its first stale stage on, and say what came out."""
+    from piegraph_cli.workspace.execute import Options, run_chain
+    from piegraph_cli.workspace.recipe import find_recipe, load_recipe, parse_setting
+    from piegraph_cli.workspace.run import Run
+
+    if recipe is None and (run is None or not (run / "recipe.toml").exists()):
+        raise UsageError("no recipe given", hint="piegraph run RECIPE, or --run with a folder that has a recipe.toml")
+    folder = run or Path("runs") / Path(str(recipe)).stem
+    opened = Run.open(folder)
+    if recipe is not None:
+        opened.recipe = load_recipe(find_recipe(recipe))
+    for text in set or []:
+        stage, setting, value = parse_setting(text)
+        opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}")
+    with _logging_to(folder):
+        opened.save_recipe()
+        outcomes = run_chain(folder, until, Options(force, jobs, backend, device))
+    _emit(_summary(outcomes, folder), as_json)
+
+
+@app.command()
+def status(run: RunFolder, as_json: AsJson = False) -> None:
+    """Say of every artifact of a run whether it is fresh, stale, missing or failed."""
+    from piegraph_cli.workspace.execute import status as rows_of
+
+    if not (run / "recipe.toml").exists():
+        raise UsageError("not a run folder: it has no recipe.toml", str(run), "piegraph run RECIPE --run FOLDER")
+    rows = rows_of(run)
+    lines = [f"{'stage':10s} {'sequence':16s} {'state':8s} quality"]
+    lines += [f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {r['quality'] or r['failure']}" for r in rows]
+    _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
+
+
+@app.command()
+def simulate(
+    environment: Annotated[str, typer.Argument(help="simulated environment, by name")],
+    out: Annotated[Path, typer.Option(help="run folder for true particles, or recording folder with --render")],
+    sequences: Annotated[int, typer.Option(min=1, help="sequences to simulate")] = 20,
+    strokes: Annotated[int, typer.Option(min=1, help="strokes per sequence")] = 4,
+    seed: Annotated[int, typer.Option(min=0, help="seed; sequence i depends on (seed, i) alone")] = 0,
+    particles: Annotated[int, typer.Option(min=4, help="particles per object")] = 50,
+    render: Annotated[bool, typer.Option("--render", help="record it with four RGB-D cameras and a hand")] = False,
+    force: Force = False,
+    jobs: Jobs = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a person's random strokes: as true particles, or as a recording with --render."""
+    from piegraph_cli.stages.simulate import record_sequences
+    from piegraph_cli.workspace.execute import Options, run_stage
+    from piegraph_cli.workspace.run import Run
+
+    stage = STAGES["simulate"]
+    values = {"environment": environment, "sequences": sequences, "strokes": strokes, "seed": seed, "particles": particles}
+    recipe = Run(out, Run.open(out).recipe).recipe.with_values(stage, values, "piegraph simulate")
+    if render:
+        made = record_sequences(out, recipe.params(stage), jobs=jobs, force=force)
+        _emit(_Report({"recording": str(out), "sequences": made}, [f"{out}: {len(made)} sequences"]), as_json)
+        return
+    with _logging_to(out):
+        Run(out, recipe).save_recipe()
+        outcomes = run_stage(out, stage, Options(force, jobs))
+    _emit(_summary(outcomes, out), as_json)
+
+
+@app.command()
+def report(run: RunFolder, as_json: AsJson = False) -> None:
+    """Draw a run's pictures into RUN/report and list them."""
+    from piegraph_cli.stages.report import draw_report
+
+    with _logging_to(run):
+        files = draw_report(run)
+    _emit(_Report({"pictures": [str(f) for f in files]}, [str(f) for f in files]), as_json)
+
+
+@app.command()
+def doctor(
+    fetch: Annotated[str | None, typer.Option(help="fetch a weight file by name")] = None, as_json: AsJson = False
+) -> None:
+    """Check this machine: packages, libraries, weights, devices; and say how to mend what is missing."""
+    from piegraph_cli.doctor import check_machine
+    from piegraph_cli.weights import fetch_weights
+
+    if fetch:
+        path = fetch_weights(fetch)
+        _emit(_Report({"fetched": str(path)}, [str(path)]), as_json)
+        return
+    checks = check_machine()
+    lines = [f"{'ok' if c.ok else 'MISSING':8s} {c.name:24s} {c.detail}" for c in checks]
+    needed = [c for c in checks if not c.ok and c.needed]
+    _emit(_Report({"checks": [asdict(c) for c in checks]}, lines, 4 if needed else 0), as_json)
+
+
+def _version(value: bool) -> None:
+    if value:
+        print(f"piegraph {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _options_of_all(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")] = False,
+) -> None:
+    """Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned."""
+
+
+def main() -> None:
+    """The `piegraph` program: a user's mistake ends with one message and its exit code, never a traceback."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except PiegraphError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        print("interrupted; the same command goes on from here", file=sys.stderr)
+        sys.exit(130)
+    except typer.TyperException as error:
+        error.show()
+        sys.exit(error.exit_code)

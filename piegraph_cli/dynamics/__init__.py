@@ -1,0 +1,1 @@
+"""Predicting where particles go under a stroke: canonical action, networks, losses, training, models by name."""

@@ -1,0 +1,160 @@
+"""Recordings of a simulated environment: strokes turned into 5 Hz tracks, or into images of a hand that makes them, with truth."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from piegraph_cli.environments import noise
+from piegraph_cli.environments.hand import Hand
+from piegraph_cli.environments.hand_motion import TIP_HEIGHT, Grip, arm_at, choose_grip, hand_colors
+from piegraph_cli.environments.render import BLOCK, HAND, Part, Renderer
+from piegraph_cli.environments.shapes import place
+from piegraph_cli.environments.tblock import FRAME_RATE
+from piegraph_cli.recording.camera import Camera
+
+_LIFT = 0.085
+_TRAVEL = 0.1
+_AWAY = np.array([0.10, -0.46, 0.16])
+_EMPTY = 2
+_BLOCK_COLOR = (0.035, 0.13, 0.52)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is true at one frame."""
+
+    time: float
+    """Seconds since the recording began."""
+    pose: np.ndarray
+    """[3] the block's x, y (m) and yaw (rad)."""
+    tip: np.ndarray | None
+    """[3] the fingertips (the pusher's centre), metres; None while the hand is out of the scene."""
+    grip: Grip | None
+    stroke: int
+    """The stroke's number, -1 between strokes."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One recorded frame of all cameras, with what is true."""
+
+    moment: Moment
+    color: list[np.ndarray]
+    """Per camera RGB uint8 [H, W, 3]."""
+    depth: list[np.ndarray]
+    """Per camera uint16 [H, W] in the camera's units, 0 for no reading."""
+    object_mask: np.ndarray
+    """[C, H, W] bool: pixels that show the object."""
+    hand_mask: np.ndarray
+    """[C, H, W] bool: pixels that show hand or forearm."""
+    landmarks: np.ndarray
+    """[21, 3] hand joints in MediaPipe's order, metres, NaN while the hand is out of the scene."""
+    stamps: np.ndarray
+    """[C] time stamps, seconds."""
+
+
+def simulate_tracks(env, seed: int, strokes: int) -> dict[str, np.ndarray]:
+    """Particle tracks of random strokes, straight from the simulation.
+
+    Returns `positions` [F, N, 3] float32 (m), `time` [F] (s), `end_effector` [F, 3] (m), `contact` [F] bool and `poses`
+    [F, 3]: each stroke's frames at 5 Hz with contact true, before each of them one frame with contact false.
+    """
+    rows = []
+    for stroke in _play(env, seed, strokes):
+        count = len(stroke["frames"])
+        first = (stroke["frames"][:1], stroke["pusher"][:1], stroke["poses"][:1], [False])
+        rows += [first, (stroke["frames"], stroke["pusher"], stroke["poses"], [True] * count)]
+    positions, pusher, poses, contact = (np.concatenate([row[k] for row in rows]) for k in range(4))
+    return {
+        "positions": positions,
+        "time": np.arange(len(positions)) / FRAME_RATE,
+        "end_effector": np.column_stack([pusher, np.full(len(pusher), TIP_HEIGHT)]),
+        "contact": contact,
+        "poses": poses,
+    }
+
+
+def _play(env, seed: int, strokes: int) -> Iterator[dict]:
+    rng = np.random.default_rng(seed)
+    env.reset(seed=seed)
+    for _ in range(strokes):
+        yield env.step(env.sample_stroke(rng))[4]
+
+
+def plan_moments(env, seed: int, strokes: int, hand: Hand) -> list[Moment]:
+    """The whole recording frame by frame: empty table, approach, strokes with transits between them, retreat, empty table."""
+    path: list[tuple] = []
+    for number, stroke in enumerate(_play(env, seed, strokes)):
+        tips = np.column_stack([stroke["pusher"], np.full(len(stroke["pusher"]), TIP_HEIGHT)])
+        along = tips[-1] - tips[0]
+        poses = stroke["poses"]
+        grip = choose_grip(hand, math.atan2(along[1], along[0]), tips, lambda k, points, p=poses: env.block.inside(_to_body(points, p[k])))
+        before = path[-1] if path else (poses[0], _AWAY, grip, -1)
+        if not path:
+            path += [(poses[0], None, None, -1)] * _EMPTY + [before]
+        path += _transit(before, (poses[0], tips[0], grip, -1))
+        path += [(pose, tip, grip, number) for pose, tip in zip(poses, tips, strict=True)]
+    pose, _, grip, _ = path[-1]
+    path += _transit(path[-1], (pose, _AWAY, grip, -1)) + [(pose, _AWAY, grip, -1)] + [(pose, None, None, -1)] * _EMPTY
+    return [Moment(k / FRAME_RATE, *entry) for k, entry in enumerate(path)]
+
+
+def _transit(before: tuple, after: tuple) -> list[tuple]:
+    """Frames strictly between two moments: up, over, down, at most `_TRAVEL` metres a frame."""
+    pose, start, from_grip, _ = before
+    _, end, to_grip, _ = after
+    height = max(TIP_HEIGHT + _LIFT, start[2], end[2])
+    corners = np.array([start, [*start[:2], height], [*end[:2], height], end])
+    reach = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    count = max(3, math.ceil(reach[-1] / _TRAVEL))
+    entries = []
+    for share in (np.arange(1, count) / count).tolist():
+        tip = np.array([np.interp(share * reach[-1], reach, corners[:, axis]) for axis in range(3)])
+        heading = (1 - share) * from_grip.heading + share * to_grip.heading
+        grip = Grip(heading, (1 - share) * from_grip.steep + share * to_grip.steep)
+        entries.append((pose, tip, grip, -1))
+    return entries
+
+
+def record(env, seed: int, strokes: int, cameras: list[Camera], hand: Hand) -> Iterator[Frame]:
+    """Render random strokes made by a hand, frame by frame, with sensor noise; everything follows from `seed`."""
+    renderer = Renderer(cameras)
+    skin = hand_colors(hand)
+    offsets = np.random.default_rng([seed, 1]).uniform(-0.004, 0.004, len(cameras))
+    for number, moment in enumerate(plan_moments(env, seed, strokes, hand)):
+        rng = np.random.default_rng([seed, 2, number])
+        parts, landmarks = _parts(env, moment, hand, skin)
+        views = renderer.render(parts)
+        label = np.stack([view.label for view in views])
+        yield Frame(
+            moment,
+            [noise.sensed_color(view.color, rng) for view in views],
+            [
+                noise.sensed_depth(view.depth, view.slope, camera.K[0, 0], camera.depth_scale, rng)
+                for view, camera in zip(views, cameras, strict=True)
+            ],
+            label == BLOCK,
+            label == HAND,
+            landmarks,
+            moment.time + offsets + rng.uniform(0, 0.001, len(cameras)),
+        )
+
+
+def _parts(env, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part], np.ndarray]:
+    vertices, triangles = env.mesh()
+    parts = [Part(place(vertices, moment.pose), triangles, BLOCK, np.array([_BLOCK_COLOR]))]
+    if moment.tip is None:
+        return parts, np.full((21, 3), np.nan)
+    arm = arm_at(hand, moment.grip, moment.tip)
+    parts.append(Part(arm.hand, hand.triangles, HAND, skin, smooth=True))
+    forearm, faces, colors = arm.forearm
+    parts.append(Part(forearm, faces, HAND, colors, smooth=True))
+    return parts, arm.landmarks
+
+
+def _to_body(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y = points[:, 0] - pose[0], points[:, 1] - pose[1]
+    return np.column_stack([cos * x + sin * y, -sin * x + cos * y, points[:, 2]])

@@ -1,0 +1,176 @@
+"""Colour, depth and labels of a scene by ray casting (Embree): Lambert shading, two lamps with cast shadows, a wooden table."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piegraph_cli.environments import import_extra
+from piegraph_cli.recording.camera import Camera
+
+FLOOR, TABLE, BLOCK, HAND = 0, 1, 2, 3
+_LAMPS = ((np.array([0.9, 0.55, 1.5]), 0.62), (np.array([-0.8, -0.1, 1.7]), 0.40))
+_LAMP_RADIUS = 0.05
+_AMBIENT = 0.36
+_TABLE_HALF, _TABLE_THICK, _FLOOR_Z = 0.62, 0.03, -0.74
+_QUAD = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
+_WOOD_SIZE = 1024
+
+
+@dataclass(frozen=True)
+class Part:
+    """One surface of the scene."""
+
+    vertices: np.ndarray
+    """[V, 3] metres, world."""
+    triangles: np.ndarray
+    """[T, 3]."""
+    label: int
+    colors: np.ndarray
+    """[V, 3] linear RGB in 0..1 per vertex, or [1, 3] for the whole surface."""
+    smooth: bool = False
+    """Shade by normals interpolated over the surface instead of one per triangle."""
+    normals: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        corners = self.vertices[self.triangles]
+        flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        summed = np.zeros_like(self.vertices)
+        for k in range(3):
+            np.add.at(summed, self.triangles[:, k], flat)
+        object.__setattr__(self, "normals", summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-12))
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera would see without noise."""
+
+    color: np.ndarray
+    """[H, W, 3] RGB in 0..1, gamma encoded."""
+    depth: np.ndarray
+    """[H, W] metres along the optical axis, inf where nothing is."""
+    label: np.ndarray
+    """[H, W] `Part.label` of what is seen, -1 for nothing."""
+    slope: np.ndarray
+    """[H, W] cosine between the viewing ray and the surface normal."""
+
+
+class Renderer:
+    """Casts the rays of fixed cameras into changing scenes; the table and the floor are always there."""
+
+    def __init__(self, cameras: list[Camera]):
+        import_extra("embreex")
+        self.cameras = cameras
+        self._rays = [_pixel_rays(camera, (0.0, 0.0)) for camera in cameras]
+        self._quad_rays = [np.stack([_pixel_rays(camera, offset) for offset in _QUAD]) for camera in cameras]
+        self._wood = wood_texture()
+
+    def render(self, parts: list[Part]) -> list[View]:
+        """One view per camera of the table with `parts` on it."""
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        surfaces = [*_room(), *parts]
+        scene = EmbreeScene()
+        meshes = [TriangleMesh(scene, s.vertices.astype(np.float32), s.triangles.astype(np.int32)) for s in surfaces]
+        views = [self._view(scene, surfaces, k) for k in range(len(self.cameras))]
+        del meshes
+        return views
+
+    def _view(self, scene, surfaces: list[Part], k: int) -> View:
+        camera = self.cameras[k]
+        shape = (camera.height, camera.width)
+        origin = camera.T_world_camera[:3, 3].astype(np.float32)
+        hit = _cast(scene, origin, self._rays[k])
+        label = np.array([-1] + [s.label for s in surfaces])[hit["geomID"] + 1].reshape(shape)
+        slope = np.abs(np.einsum("pc,pc->p", _unit(hit["Ng"]), _unit(self._rays[k]))).reshape(shape)
+        depth = np.where(hit["geomID"] < 0, np.inf, hit["tfar"]).reshape(shape)
+        samples = [self._shade(scene, surfaces, origin, rays, lamp) for rays, lamp in zip(self._quad_rays[k], _QUAD, strict=True)]
+        color = np.clip(np.mean(samples, 0), 0, 1) ** (1 / 2.2)
+        return View(color.reshape(*shape, 3).astype(np.float32), depth, label, slope)
+
+    def _shade(self, scene, surfaces: list[Part], origin: np.ndarray, rays: np.ndarray, lamp: tuple[float, float]) -> np.ndarray:
+        """Linear RGB [P, 3] of rays [P, 3]; `lamp` moves the lamps, so that several samples give soft shadows."""
+        hit = _cast(scene, origin, rays)
+        points = origin + rays * hit["tfar"][:, None]
+        normals, albedo = self._material(surfaces, hit, points)
+        normals *= np.where(np.einsum("pc,pc->p", normals, rays)[:, None] > 0, np.float32(-1), np.float32(1))
+        light = _AMBIENT * (0.7 + 0.3 * normals[:, 2])
+        for position, power in _LAMPS:
+            place = (position + _LAMP_RADIUS * 4 * np.array([*lamp, 0.0])).astype(np.float32)
+            to_lamp = place - points
+            cosine = np.maximum(np.einsum("pc,pc->p", normals, _unit(to_lamp)), 0)
+            lit = scene.run(points + 5e-4 * normals, to_lamp, dists=np.ones(len(points), np.float32), query="OCCLUDED") != 0
+            light += power * cosine * lit
+        color = albedo * light[:, None]
+        color[hit["geomID"] < 0] = 0
+        return color
+
+    def _material(self, surfaces: list[Part], hit: dict, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals [P, 3] and linear RGB [P, 3] of what each ray hit."""
+        normals, albedo = _unit(hit["Ng"]), np.zeros_like(points)
+        for number, surface in enumerate(surfaces):
+            here = np.flatnonzero(hit["geomID"] == number)
+            if surface.label == TABLE:
+                albedo[here] = self._grain(points[here])
+            elif len(surface.colors) == 1:
+                albedo[here] = surface.colors
+            else:
+                albedo[here] = _interpolate(surface.colors, surface, hit, here)
+            if surface.smooth:
+                normals[here] = _unit(_interpolate(surface.normals, surface, hit, here))
+        return normals, albedo
+
+    def _grain(self, points: np.ndarray) -> np.ndarray:
+        column, row = ((points[:, :2] + _TABLE_HALF) / (2 * _TABLE_HALF) * (_WOOD_SIZE - 1)).clip(0, _WOOD_SIZE - 1).round().astype(int).T
+        return self._wood[row, column]
+
+
+def _interpolate(values: np.ndarray, surface: Part, hit: dict, here: np.ndarray) -> np.ndarray:
+    """Per-vertex values [V, 3] at the hits `here` of a surface, float32 [len(here), 3]."""
+    corners = surface.triangles[hit["primID"][here]]
+    u, v = hit["u"][here], hit["v"][here]
+    weights = np.stack([1 - u - v, u, v], 1)
+    return np.einsum("pk,pkc->pc", weights, values.astype(np.float32)[corners])
+
+
+def _cast(scene, origin: np.ndarray, rays: np.ndarray) -> dict[str, np.ndarray]:
+    return scene.run(np.ascontiguousarray(np.broadcast_to(origin, rays.shape)), rays, query="INTERSECT", output=True)
+
+
+def _pixel_rays(camera: Camera, offset: tuple[float, float]) -> np.ndarray:
+    """World-frame rays [H * W, 3] float32 through the pixels (moved by `offset`), one metre deep: hit distance is depth."""
+    column, row = np.meshgrid(np.arange(camera.width) + offset[0], np.arange(camera.height) + offset[1])
+    rays = camera.rays(np.column_stack([column.ravel(), row.ravel()]))
+    return np.ascontiguousarray(rays @ camera.T_world_camera[:3, :3].T, np.float32)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.sqrt(np.einsum("pc,pc->p", vectors, vectors))
+    return vectors / np.maximum(length, vectors.dtype.type(1e-12))[:, None]
+
+
+def _room() -> list[Part]:
+    def slab(half: float, z: float, label: int, color: tuple[float, float, float]) -> Part:
+        corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
+        return Part(corners, np.array([[0, 1, 2], [0, 2, 3]]), label, np.array([color]))
+
+    return [slab(15.0, _FLOOR_Z, FLOOR, (0.23, 0.24, 0.26)), slab(_TABLE_HALF, 0.0, TABLE, (1.0, 1.0, 1.0))]
+
+
+def wood_texture(seed: int = 7) -> np.ndarray:
+    """Linear RGB [S, S, 3] of a table top made of planks along x, each with its own tone and grain."""
+    import cv2
+
+    rng, size = np.random.default_rng(seed), _WOOD_SIZE
+    row, column = np.mgrid[:size, :size].astype(np.float32)
+    planks = 7
+    plank = np.minimum((row / size * planks).astype(int), planks - 1)
+    wander = cv2.GaussianBlur(rng.standard_normal((size, size), np.float32), (0, 0), sigmaX=120, sigmaY=14)
+    wander *= 9 / wander.std()
+    rings = np.sin((row + wander + 37 * plank) * (0.16 + 0.02 * (plank % 3)))
+    fibre = cv2.GaussianBlur(rng.standard_normal((size, size), np.float32), (0, 0), sigmaX=30, sigmaY=0.7)
+    fibre /= fibre.std()
+    tone = rng.uniform(0.86, 1.08, planks)[plank] * (1 + 0.07 * rings + 0.045 * fibre)
+    seam = np.abs((row / size * planks) % 1 - 0.5) > 0.494
+    tone = np.where(seam, 0.55 * tone, tone)
+    return (np.array([0.47, 0.30, 0.165]) * tone[..., None]).astype(np.float32)

@@ -1,0 +1,1 @@
+"""Metrics, statistics, scores against truth, figures."""

@@ -1,0 +1,24 @@
+"""Distances between predicted and true particles."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+CENTIMETRE = 100.0
+
+
+def particle_distance(predicted: np.ndarray, target: np.ndarray) -> float:
+    """Mean Euclidean distance of corresponding particles [N, 3] (m), in cm. Source: paper, IV-A."""
+    return float(np.linalg.norm(predicted - target, axis=-1).mean()) * CENTIMETRE
+
+
+def chamfer_distance(predicted: np.ndarray, target: np.ndarray) -> float:
+    """Sum of the two mean nearest-point distances of clouds [N, 3], [M, 3] (m), in cm. Source: paper, Table I."""
+    there, back = cKDTree(target).query(predicted)[0], cKDTree(predicted).query(target)[0]
+    return float(there.mean() + back.mean()) * CENTIMETRE
+
+
+def shape_error(predicted: np.ndarray, target: np.ndarray, edges: np.ndarray) -> float:
+    """Mean squared error of the offsets along edges [E, 2], in cm^2. Source: paper, Eq. 7."""
+    first, second = edges.T
+    error = (predicted[first] - predicted[second]) - (target[first] - target[second])
+    return float((error**2).sum(-1).mean()) * CENTIMETRE**2

@@ -1,0 +1,190 @@
+"""Every setting of every stage: one frozen model per stage, the source of CLI options, recipe checks and cache keys.
+
+Nothing heavy is imported here, so that `piegraph --help` answers at once. The core takes these models as they are.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+
+def _split(value: object) -> object:
+    """`1,2,3` on the command line means a list."""
+    return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+
+
+Pose2 = Annotated[tuple[float, float, float], BeforeValidator(_split)]
+Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_split)]
+Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_split), Field(min_length=1)]
+Lengths = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_split), Field(min_length=1)]
+
+
+class Params(BaseModel):
+    """Base of all settings: frozen, unknown keys refused, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def files(self) -> dict[str, Path]:
+        """Files and folders these settings name; their content, not their path, enters the cache key."""
+        return {name: value for name, value in self if isinstance(value, Path)}
+
+
+class SimulateParams(Params):
+    """Settings of `simulate`: true particles of random strokes in a simulated environment."""
+
+    environment: str = Field("tblock", description="simulated environment, by name")
+    sequences: int = Field(20, ge=1, description="sequences to simulate")
+    strokes: int = Field(4, ge=1, description="strokes per sequence")
+    particles: int = Field(50, ge=4, le=2000, description="particles per object")
+    seed: int = Field(0, ge=0, description="seed; sequence i depends on (seed, i) alone")
+
+
+class IngestParams(Params):
+    """Settings of `ingest`: what is recorded, and where."""
+
+    recording: Path | None = Field(None, description="recording folder (docs/formats.md)")
+    fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
+    max_skew: float = Field(0.05, gt=0, description="largest difference in time between cameras in one frame [s]")
+    workspace: Box = Field(
+        (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
+        description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
+    )
+
+
+class HandsParams(Params):
+    """Settings of `hands`."""
+
+    hand_model: Path | None = Field(None, description="hand_landmarker.task file (default: the fetched one)")
+    max_gap: float = Field(0.5, ge=0, description="longest gap in the hand's path that is filled [s]")
+
+
+class SegmentParams(Params):
+    """Settings of `segment`."""
+
+    segmenter: Literal["grabcut", "sam"] = Field("grabcut", description="how the object's mask is found")
+    min_height: float = Field(0.006, gt=0, description="height above the table from which depth tells the object [m]")
+    min_contrast: float = Field(0.25, gt=0, description="colour difference from the table that tells the object [log ratio]")
+    min_area: float = Field(4e-4, gt=0, description="smallest object, as table area covered [m2]")
+    sam_checkpoint: Path | None = Field(None, description="weights for --segmenter sam")
+    sam_model: Literal["vit_h", "vit_l", "vit_b", "tiny"] = Field("vit_b", description="SAM model of the checkpoint")
+    sam_every: int = Field(10, ge=1, description="frames between SAM key frames; masks are propagated between them")
+    prompts: dict[str, list[float]] = Field(
+        {}, description="box x0,y0,x1,y1 [px] in the first frame, per camera; automatic where not given"
+    )
+
+
+class FuseParams(Params):
+    """Settings of `fuse`."""
+
+    voxel_size: float = Field(0.004, gt=0, description="edge of the voxel grid the cloud is thinned on [m]")
+    contact_radius: float = Field(0.03, gt=0, description="hand and object closer than this touch [m]")
+
+
+class TrackParams(Params):
+    """Settings of `track`."""
+
+    association: Literal["soft", "nearest"] = Field("soft", description="soft assignment, or the paper's nearest point")
+    particles: int = Field(50, ge=4, le=2000, description="particles exported")
+    tracked: int = Field(150, ge=4, le=2000, description="particles tracked; the first ones are exported")
+    damping: float = Field(0.8, gt=0, lt=1, description="velocity kept per step, delta")
+    stiffness: float = Field(0.15, gt=0, description="spring stiffness k dt^2/m, lowered to 0.8 of the stability bound")
+    gain: float = Field(0.03, gt=0, description="proportional gain Kp dt^2/m")
+    rounds: int = Field(20, ge=3, description="assignments per frame")
+    iterations: int = Field(10, ge=1, description="spring iterations after each assignment")
+    scales: Lengths = Field((0.020, 0.012, 0.008), description="widths of the assignment, in turn over the rounds [m]")
+    points: int = Field(800, ge=20, description="points a cloud is thinned to for the assignment")
+    mode: Literal["push", "pick"] = Field("push", description="how the hand moves the object")
+
+    @property
+    def turns(self) -> list[int]:
+        """How many of the rounds each scale gets."""
+        share, more = divmod(self.rounds, len(self.scales))
+        return [share + (k < more) for k in range(len(self.scales))]
+
+
+class DatasetParams(Params):
+    """Settings of `dataset`."""
+
+    train: int = Field(10, ge=1, description="sequences to train on")
+    validation: int = Field(0, ge=0, description="sequences to choose the checkpoint on (0: the last one is kept)")
+    min_gap: int = Field(2, ge=1, description="fewest frames between the two frames of a training pair")
+    min_stroke: float = Field(0.01, ge=0.001, description="shortest stroke that is kept [m]")
+    seed: int = Field(0, ge=0, description="seed of the split")
+
+
+class TrainParams(Params):
+    """Settings of `train`."""
+
+    neighbors: int = Field(12, ge=1, description="neighbours of a particle in the graph")
+    hidden: int = Field(32, ge=1, description="width of the network")
+    layers: int = Field(4, ge=1, description="message-passing layers")
+    action_head: bool = Field(True, description="add a displacement in the stroke's frame")
+    shape_weight: float = Field(0.1, ge=0, description="weight of the shape loss")
+    learning_rate: float = Field(2e-3, gt=0, description="AdamW learning rate at the start of the cosine")
+    weight_decay: float = Field(1e-4, ge=0, description="AdamW weight decay")
+    clip: float = Field(1.0, gt=0, description="largest gradient norm")
+    batch: int = Field(8, ge=1, description="training pairs per step")
+    steps: int = Field(2600, ge=1, description="training steps")
+    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
+    tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
+    seed: int = Field(0, ge=0, description="seed of weights and batches")
+
+
+class GuidanceSettings(Params):
+    """The spring-mass system that the network's prediction guides. Dimensionless gains: k dt^2/m and Kp dt^2/m."""
+
+    spring_radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
+    stiffness: float = Field(0.15, gt=0, description="spring stiffness k dt^2/m")
+    gain: float = Field(0.03, gt=0, description="proportional gain Kp dt^2/m")
+    integral_gain: float = Field(0.0, ge=0, description="integral gain; above 0, convergence undoes the guidance")
+    derivative_gain: float = Field(0.0, ge=0, description="derivative gain")
+    damping: float = Field(0.8, gt=0, lt=1, description="velocity kept per step, delta")
+    guidance_iterations: int = Field(200, ge=1, description="most iterations of one guidance")
+    tolerance: float = Field(1e-5, gt=0, description="guidance has converged below this motion per iteration [m]")
+
+
+class EvaluateParams(GuidanceSettings):
+    """Settings of `evaluate`."""
+
+    models: Lengths = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)]
+Names = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
+    horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
+
+
+class PlanParams(GuidanceSettings):
+    """Settings of `plan`."""
+
+    env: str | None = Field(None, description="simulated environment to act in, closed loop")
+    state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
+    goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
+    goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
+    model: str = Field("piegraph", description="model that predicts, by name")
+    cost: Literal["auto", "distance", "chamfer"] = Field(
+        "auto", description="particle distance, chamfer distance, or the first where particles correspond"
+    )
+    horizon: int = Field(1, ge=1, description="strokes planned ahead")
+    samples: int = Field(100, ge=4, description="candidates per CEM iteration")
+    iterations: int = Field(5, ge=1, description="CEM iterations")
+    elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites")
+    strokes: int = Field(13, ge=1, description="most strokes in one episode")
+    success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
+    episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
+    min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
+    max_length: float = Field(0.14, gt=0, description="longest stroke [m]")
+    pusher_radius: float = Field(0.01, gt=0, description="radius of the robot's pusher [m]")
+    workspace: Box = Field(
+        (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"
+    )
+    seed: int = Field(0, ge=0, description="seed of starts, goals and candidates")
+
+    def goal_file(self) -> tuple[Path, int | None]:
+        """The goal's file and frame, from FILE or FILE:FRAME."""
+        assert self.goal is not None
+        file, colon, frame = self.goal.rpartition(":")
+        return (Path(file), int(frame)) if colon and frame.lstrip("-").isdigit() else (Path(self.goal), None)
+
+    def files(self) -> dict[str, Path]:
+        """As for all settings, and the goal's file."""
+        return super().files() | ({"goal": self.goal_file()[0]} if self.goal else {})

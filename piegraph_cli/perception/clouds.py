@@ -1,0 +1,113 @@
+"""Point clouds: back-projection of depth, fusion of the cameras, and when the hand touches the object."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from piegraph_cli.recording.camera import Camera
+
+NEIGHBOURS, DEVIATIONS = 16, 2.0
+"""Outlier removal: a point farther from its neighbours than the cloud's mean plus this many deviations is dropped."""
+
+
+def world_map(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """World points [H, W, 3] float32 (m) of a depth image [H, W] in the camera's units; NaN where it reads 0."""
+    metres = np.where(depth > 0, depth * np.float32(camera.depth_scale), np.float32(np.nan)).astype(np.float32)
+    numbers = (np.asarray(a, np.float64).tobytes() for a in (camera.K, camera.distortion, camera.T_world_camera))
+    rays = _world_rays(camera.width, camera.height, *numbers)
+    return rays * metres[..., None] + camera.T_world_camera[:3, 3].astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _world_rays(width: int, height: int, K: bytes, distortion: bytes, T_world_camera: bytes) -> np.ndarray:
+    """Viewing rays [H, W, 3] in world directions, of length one along the optical axis."""
+    K, distortion, pose = (np.frombuffer(b) for b in (K, distortion, T_world_camera))
+    camera = Camera("", width, height, K.reshape(3, 3), distortion, pose.reshape(4, 4))
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    rays = camera.rays(pixels) @ camera.T_world_camera[:3, :3].T
+    return rays.reshape(height, width, 3).astype(np.float32)
+
+
+def flying_pixels(depth: np.ndarray, camera: Camera, edge: float) -> np.ndarray:
+    """Pixels [H, W] bool beside a depth step larger than `edge` (m): their reading may hang between two surfaces."""
+    import cv2
+
+    metres = depth.astype(np.float32) * np.float32(camera.depth_scale)
+    kernel = np.ones((3, 3), np.uint8)
+    farthest = cv2.dilate(metres, kernel)
+    nearest = cv2.erode(np.where(depth > 0, metres, np.float32(np.inf)), kernel)
+    return farthest - nearest > edge
+
+
+def back_project(mask: np.ndarray, depth: np.ndarray, camera: Camera, edge: float = 0.012) -> np.ndarray:
+    """World points [P, 3] float32 (m) of the masked pixels [H, W] that have depth (units of the camera's depth scale).
+
+    Pixels beside a depth step larger than `edge` (m) are left out: they may hang between two surfaces.
+    """
+    keep = mask & (depth > 0) & ~flying_pixels(depth, camera, edge)
+    return world_map(depth, camera)[keep]
+
+
+def fuse(
+    masks: Sequence[np.ndarray],
+    depths: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+    workspace: np.ndarray,
+    voxel_size: float = 0.004,
+) -> np.ndarray:
+    """One cloud [P, 3] float32 (m) of one frame from all cameras' masks [H, W] and depths [H, W].
+
+    Cropped to `workspace` [3, 2] (m), thinned to a voxel grid of `voxel_size` (m), outliers removed. May be empty.
+    """
+    import open3d as o3d
+
+    parts = [back_project(m, d, camera) for m, d, camera in zip(masks, depths, cameras, strict=True)]
+    points = np.concatenate(parts)
+    low, high = np.asarray(workspace, float).T
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    if len(points) == 0:
+        return np.zeros((0, 3), np.float32)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud = cloud.voxel_down_sample(voxel_size)
+    if len(cloud.points) > NEIGHBOURS:
+        cloud, _ = cloud.remove_statistical_outlier(NEIGHBOURS, DEVIATIONS)
+    return np.asarray(cloud.points, dtype=np.float32)
+
+
+def contact(
+    end_effector: np.ndarray, clouds: Sequence[np.ndarray], radius: float = 0.03, clearance: float = 0.03
+) -> np.ndarray:
+    """Frames [F] bool in which the hand handles the object, from its end-effector [F, 3] (m) and the clouds [P, 3].
+
+    Handling begins and ends with frames within twice `radius` (m) of the cloud seen from above and lower than its top
+    plus `clearance` (m), so that it holds the object at rest before it moves; it needs one frame within `radius`.
+    A frame with unknown end-effector (NaN) or empty cloud does not interrupt it; a single frame alone does not count.
+    """
+    from scipy.ndimage import label
+
+    gap, above = _distances(end_effector, clouds)
+    low = above <= clearance
+    unknown = ~np.isfinite(gap)
+    close = low & (gap <= 2 * radius)
+    between = np.zeros_like(close)
+    between[1:-1] = unknown[1:-1] & close[:-2] & close[2:]
+    runs, count = label(close | between)
+    handled = np.zeros_like(close)
+    for n in range(1, count + 1):
+        run = runs == n
+        if run.sum() > 1 and (gap[run & close] <= radius).any():
+            handled |= run
+    return handled
+
+
+def _distances(end_effector: np.ndarray, clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Per frame the distance (m) in the plane to the cloud and the height (m) above its top; NaN where unknown."""
+    from scipy.spatial import cKDTree
+
+    gap, above = np.full((2, len(end_effector)), np.nan)
+    for f, (tip, cloud) in enumerate(zip(end_effector, clouds, strict=True)):
+        if np.isfinite(tip).all() and len(cloud):
+            gap[f] = cKDTree(cloud[:, :2]).query(tip[:2])[0]
+            above[f] = tip[2] - np.percentile(cloud[:, 2], 95)
+    return gap, above

@@ -1,0 +1,215 @@
+"""Object masks without learned weights: colour and height told apart by models of the seed, refined by GrabCut."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.perception.clouds import flying_pixels, world_map
+from piegraph_cli.perception.colour import colour_model, lab_bins
+from piegraph_cli.perception.hand_region import hand_region
+from piegraph_cli.perception.seeds import EDGE, SegmentParams, inside, locate
+from piegraph_cli.recording.camera import Camera
+
+INTRUDER_SAMPLES = 10
+"""Frames from which the colours of hand and sleeve are learnt."""
+REACH = 0.05
+"""Distance (m) from the last mask at which a pixel needs clear evidence to belong to the object."""
+LIFT = 0.06
+"""How much (m) above its first height the object may rise."""
+
+
+@dataclass
+class ObjectModel:
+    """What one camera knows of the object: colours, also of what is not the object, height, and GrabCut's mixtures."""
+
+    object: np.ndarray
+    surroundings: np.ndarray
+    intruder: np.ndarray
+    """Log-likelihoods of `colour.lab_bins`."""
+    height: float
+    """Height (m) of the object's top above the table."""
+    mixtures: tuple[np.ndarray, np.ndarray] | None = None
+    """GrabCut's colour mixtures of background and object, carried from frame to frame."""
+
+
+def segment_sequence(
+    images: Sequence[np.ndarray],
+    depths: Sequence[np.ndarray],
+    camera: Camera,
+    hand_px: np.ndarray,
+    workspace: np.ndarray,
+    seed_frame: int,
+    seed_mask: np.ndarray,
+    params: SegmentParams,
+) -> np.ndarray:
+    """Masks [F, H, W] bool of the object in one camera, from its seed [H, W] in `seed_frame` (see `seeds.find_object`).
+
+    `images` RGB uint8 [H, W, 3] and `depths` [H, W] in the camera's units (0 = no reading) are indexed by frame, in
+    any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m). A frame in which the
+    object is hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
+    """
+    check_seed(seed_mask, camera, seed_frame)
+    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed_mask)
+    masks = np.zeros((len(hand_px), *seed_mask.shape), bool)
+    for frames in (range(seed_frame, len(hand_px)), range(seed_frame - 1, -1, -1)):
+        previous = seed_mask if frames.step > 0 else masks[seed_frame]
+        for f in frames:
+            masks[f] = segment_frame(images[f], depths[f], camera, hand_px[f], workspace, previous, model, params)
+            previous = masks[f] if masks[f].any() else previous
+    return masks
+
+
+def check_seed(seed_mask: np.ndarray, camera: Camera, seed_frame: int) -> None:
+    """Raise DataError naming the camera where its seed is empty."""
+    if not seed_mask.any():
+        raise DataError(
+            "the object is not seen where the other cameras see it",
+            f"camera {camera.name}, frame {seed_frame}",
+            "check its calibration, --workspace and --min-height, or remove the camera from cameras.json",
+        )
+
+
+def learn_object(
+    images: Sequence[np.ndarray],
+    depths: Sequence[np.ndarray],
+    camera: Camera,
+    hand_px: np.ndarray,
+    workspace: np.ndarray,
+    seed_frame: int,
+    seed_mask: np.ndarray,
+) -> ObjectModel:
+    """Learn the object's and the table's colours from the seed, those of hand and sleeve from frames spread over all."""
+    import cv2
+
+    depth = depths[seed_frame]
+    bins = lab_bins(images[seed_frame])
+    core = cv2.erode(seed_mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    near = cv2.dilate(seed_mask.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    around = inside(locate(depth, camera), workspace) & ~near & ~hand_region(hand_px[seed_frame], depth, camera, 1.4)
+    heights = world_map(depth, camera)[..., 2][seed_mask]
+    heights = heights[np.isfinite(heights)]
+    top = float(np.percentile(heights, 90)) if len(heights) else 0.0
+    return ObjectModel(
+        object=colour_model(bins[core if core.any() else seed_mask]),
+        surroundings=colour_model(bins[around]),
+        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, top + LIFT)),
+        height=top,
+    )
+
+
+def _intruder_bins(
+    images: Sequence[np.ndarray], depths: Sequence[np.ndarray], camera: Camera, hand_px: np.ndarray, ceiling: float
+) -> np.ndarray:
+    """Colour bins [P] of what is on the hand's bones or rises above `ceiling` (m), from frames spread over the sequence."""
+    samples = [np.zeros(0, np.int32)]
+    for f in np.unique(np.linspace(0, len(hand_px) - 1, INTRUDER_SAMPLES).astype(int)):
+        risen = (world_map(depths[f], camera)[..., 2] > ceiling) & ~flying_pixels(depths[f], camera, EDGE)
+        samples.append(lab_bins(images[f])[risen | hand_region(hand_px[f], depths[f], camera, 0.5)])
+    return np.concatenate(samples)
+
+
+def segment_frame(
+    image: np.ndarray,
+    depth: np.ndarray,
+    camera: Camera,
+    hand_px: np.ndarray,
+    workspace: np.ndarray,
+    previous: np.ndarray,
+    model: ObjectModel,
+    params: SegmentParams,
+) -> np.ndarray:
+    """The mask [H, W] bool of one frame, given the last one in which the object was seen; updates `model.mixtures`."""
+    score = object_score(image, depth, camera, hand_px, workspace, previous, model, params)
+    near = _grown(previous, _pixels(REACH, previous, depth, camera))
+    rough = _keep_parts(score > 0, near, previous.sum() * 0.02)
+    if not rough.any():
+        return rough
+    return _keep_parts(_grabcut(image, rough, score, model), near, previous.sum() * 0.02)
+
+
+def object_score(
+    image: np.ndarray,
+    depth: np.ndarray,
+    camera: Camera,
+    hand_px: np.ndarray,
+    workspace: np.ndarray,
+    previous: np.ndarray,
+    model: ObjectModel,
+    params: SegmentParams,
+) -> np.ndarray:
+    """Evidence [H, W] float32 for the object, positive where it prevails: colour, height, hand and the last mask."""
+    import cv2
+
+    bins = lab_bins(image)
+    hand = hand_region(hand_px, depth, camera)
+    score = (model.object[bins] - np.maximum(model.surroundings[bins], model.intruder[bins])).clip(-5, 5)
+    score += _height_score(depth, camera, model.height, params)
+    score[hand] -= 3
+    distance = cv2.distanceTransform((~previous).astype(np.uint8), cv2.DIST_L2, 3)
+    score -= np.minimum(distance * (3 / _pixels(REACH, previous, depth, camera)), 6)
+    score = cv2.GaussianBlur(score.astype(np.float32), (5, 5), 0)
+    score[~inside(locate(depth, camera), workspace)] = -10
+    return score
+
+
+def _height_score(depth: np.ndarray, camera: Camera, top: float, params: SegmentParams) -> np.ndarray:
+    """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure."""
+    z = world_map(depth, camera)[..., 2]
+    score = np.zeros(depth.shape, np.float32)
+    sure = (depth > 0) & ~flying_pixels(depth, camera, EDGE)
+    if top > 2 * params.min_height:
+        score[sure & (z > params.min_height) & (z < top + params.min_height)] = 2
+        score[sure & (z < params.min_height / 2)] = -3
+    score[sure & (z > top + LIFT)] = -10
+    return score
+
+
+def _pixels(metres: float, mask: np.ndarray, depth: np.ndarray, camera: Camera) -> float:
+    """How many pixels a length at the mask's distance covers; at one metre where its depth is unknown."""
+    readings = depth[mask & (depth > 0)]
+    distance = np.median(readings) * camera.depth_scale if len(readings) else 1.0
+    return max(1.0, metres * camera.K[0, 0] / distance)
+
+
+def _grown(mask: np.ndarray, pixels: float) -> np.ndarray:
+    import cv2
+
+    return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3) <= pixels
+
+
+def _keep_parts(mask: np.ndarray, near: np.ndarray, min_pixels: float) -> np.ndarray:
+    """The connected parts of `mask` that reach into `near` and are neither specks nor dwarfed by the largest."""
+    import cv2
+
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    area = stats[:, cv2.CC_STAT_AREA].astype(float)
+    area[0] = 0
+    area[np.setdiff1d(np.arange(count), parts[near])] = 0
+    return (area >= max(min_pixels, area.max() * 0.04, 4))[parts]
+
+
+def _grabcut(
+    image: np.ndarray, rough: np.ndarray, score: np.ndarray, model: ObjectModel, margin: int = 8
+) -> np.ndarray:
+    """Refine a rough mask inside its bounding box; what the score is sure of stays as it is."""
+    import cv2
+
+    rows, columns = np.flatnonzero(rough.any(axis=1)), np.flatnonzero(rough.any(axis=0))
+    crop = (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
+        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
+    )
+    labels = np.where(rough, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)[crop]
+    labels[rough[crop] & (score[crop] > 4)] = cv2.GC_FGD
+    labels[score[crop] < -2] = cv2.GC_BGD
+    first = model.mixtures is None
+    background, foreground = (np.zeros((1, 65)), np.zeros((1, 65))) if first else model.mixtures
+    steps, mode = (3, cv2.GC_INIT_WITH_MASK) if first else (1, cv2.GC_EVAL)
+    cv2.setRNGSeed(0)
+    cv2.grabCut(np.ascontiguousarray(image[crop]), labels, None, background, foreground, steps, mode)
+    model.mixtures = (background, foreground)
+    refined = np.zeros_like(rough)
+    refined[crop] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return refined

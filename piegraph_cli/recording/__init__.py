@@ -1,0 +1,1 @@
+"""What comes in: the recording folder layout, the camera model and calibration."""

@@ -1,0 +1,59 @@
+"""The stages, one module each, and the table that the command line, the cache and `run` are made from."""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from piegraph_cli import params
+from piegraph_cli.params import Params
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the pipeline: which artifacts it reads and writes, its settings, and where its code is."""
+
+    name: str
+    reads: tuple[str, ...]
+    writes: str
+    per: Literal["sequence", "run"]
+    params: type[Params]
+    version: int
+    run: str
+    """`module:function`, called as `function(inputs, params, context) -> Output`."""
+    help: str
+    scores: tuple[str, ...] = ()
+    """Artifacts read as well where the run has them, to score them against a simulated recording's truth."""
+
+    def load(self) -> Callable:
+        """Import the stage's function."""
+        module, function = self.run.split(":")
+        return getattr(importlib.import_module(f"piegraph_cli.stages.{module}"), function)
+
+
+_TABLE = (
+    Stage("simulate", (), "tracks", "sequence", params.SimulateParams, 1, "simulate:run", "simulate true particles"),
+    Stage("ingest", (), "frames", "sequence", params.IngestParams, 1, "ingest:run", "read and check a recording"),
+    Stage("hands", ("frames",), "hands", "sequence", params.HandsParams, 1, "hands:run", "find the hand in 3-D"),
+    Stage("segment", ("frames", "hands"), "masks", "sequence", params.SegmentParams, 1, "segment:run", "mask the object"),
+    Stage(
+        "fuse", ("frames", "hands", "masks"), "clouds", "sequence", params.FuseParams, 1, "fuse:run", "fuse the object's cloud"
+    ),
+    Stage("track", ("clouds",), "tracks", "sequence", params.TrackParams, 1, "track:run", "track particles"),
+    Stage("dataset", ("tracks",), "dataset", "run", params.DatasetParams, 1, "dataset:run", "cut strokes, pair frames, split"),
+    Stage("train", ("dataset",), "model", "run", params.TrainParams, 1, "train:run", "train the network"),
+    Stage(
+        "evaluate",
+        ("dataset", "model"),
+        "metrics",
+        "run",
+        params.EvaluateParams,
+        1,
+        "evaluate:run",
+        "measure predictions on held-out sequences",
+        scores=("frames", "hands", "masks", "clouds", "tracks"),
+    ),
+    Stage("plan", ("model",), "plan", "run", params.PlanParams, 1, "plan:run", "plan strokes to a goal"),
+)
+
+STAGES: dict[str, Stage] = {stage.name: stage for stage in _TABLE}

@@ -1,0 +1,41 @@
+"""Stage `fuse`: one cloud of the object per frame from all cameras, and whether the hand touches it."""
+
+import numpy as np
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import FuseParams
+from piegraph_cli.perception.clouds import contact, fuse
+from piegraph_cli.recording.images import ImageStack
+from piegraph_cli.stages.ingest import cameras_of, depth_of, workspace_of
+from piegraph_cli.workspace.artifact import Artifact
+from piegraph_cli.workspace.execute import Context, Output
+
+
+def run(inputs: dict[str, Artifact], params: FuseParams, context: Context) -> Output:
+    """Fuse one sequence."""
+    frames, masks, hands = inputs["frames"], inputs["masks"], inputs["hands"]
+    cameras, depth, workspace = cameras_of(frames), depth_of(frames), workspace_of(frames)
+    mask = ImageStack(masks["mask"], masks["mask_offsets"], len(cameras), "mask")
+    every = range(len(cameras))
+    clouds = []
+    for f in context.progress(range(len(frames["time"])), "fuse"):
+        images = [mask.mask(f, c) for c in every], [depth.depth(f, c) for c in every]
+        clouds.append(fuse(*images, cameras, workspace, params.voxel_size))
+    sizes = np.array([len(cloud) for cloud in clouds])
+    if not sizes.any():
+        raise DataError(
+            f"no camera sees the object with depth in frames 0 to {len(sizes) - 1}",
+            str(frames.path),
+            "look at the masks with `piegraph report`; check ingest.workspace",
+        )
+    touching = contact(hands["end_effector"], clouds, params.contact_radius)
+    arrays = {
+        "points": np.concatenate(clouds),
+        "offsets": np.concatenate([[0], sizes.cumsum()]),
+        "end_effector": hands["end_effector"],
+        "contact": touching,
+        "time": frames["time"],
+    }
+    quality = f"{np.median(sizes):.0f} points a frame, {(sizes > 0).mean():.0%} of the frames, contact in {touching.mean():.0%}"
+    warnings = [] if touching.any() else ["the hand never touches the object: no stroke will be found in this sequence"]
+    return Output(arrays, quality, warnings)

@@ -1,0 +1,51 @@
+"""Stage `hands`: the hand's landmarks in every camera, and its keypoints and end-effector in the world."""
+
+from typing import Any
+
+import numpy as np
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import HandsParams
+from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
+from piegraph_cli.stages.ingest import cameras_of, color_of, depth_of
+from piegraph_cli.weights import cached_weights
+from piegraph_cli.workspace.artifact import Artifact
+from piegraph_cli.workspace.execute import Context, Output
+
+POOR = 0.5
+"""Share of frames with a hand below which the user is warned."""
+
+
+def run(inputs: dict[str, Artifact], params: HandsParams, context: Context) -> Output:
+    """Find the hand in one sequence."""
+    frames: Any = inputs["frames"]
+    cameras, color, depth, time = cameras_of(frames), color_of(frames), depth_of(frames), frames["time"]
+    model = params.hand_model or cached_weights("hand-landmarker")
+    landmarks = np.stack(
+        [
+            detect_hands(context.progress(color.of_camera(c), f"hands {camera.name}", len(time)), time, model)[0]
+            for c, camera in enumerate(cameras)
+        ],
+        axis=1,
+    )
+    if not np.isfinite(landmarks).any():
+        raise DataError(
+            f"no camera sees a hand in frames 0 to {len(time) - 1}",
+            f"{frames.path}, cameras {', '.join(c.name for c in cameras)}",
+            "check that the hand is in view and lit, or remove this sequence",
+        )
+    hand = lift_hands(landmarks, depth.depth, cameras, time, max_gap=params.max_gap)
+    arrays = {
+        "landmarks": hand.pixels,
+        "seen": hand.seen,
+        "keypoints": hand.keypoints,
+        "end_effector": end_effector(hand.keypoints),
+        "observed": hand.observed,
+        "time": time,
+    }
+    rates = ", ".join(f"{c.name} {rate:.0%}" for c, rate in zip(cameras, hand.seen.mean(0), strict=True))
+    quality = f"hand in {hand.seen.any(1).mean():.0%} of {len(time)} frames ({rates})"
+    warnings = []
+    if hand.observed.mean() < POOR:
+        warnings.append(f"hand found in {hand.observed.mean():.0%} of the frames only: see `piegraph report`")
+    return Output(arrays, quality, warnings)

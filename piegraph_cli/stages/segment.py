@@ -1,0 +1,49 @@
+"""Stage `segment`: the object's mask in every image, the hand left out."""
+
+import numpy as np
+
+from piegraph_cli.errors import UsageError
+from piegraph_cli.params import SegmentParams
+from piegraph_cli.perception import sam, segmentation
+from piegraph_cli.perception.sam_models import load_sam
+from piegraph_cli.perception.seeds import ObjectSeed, find_object
+from piegraph_cli.recording.images import encode_masks
+from piegraph_cli.stages.ingest import cameras_of, color_of, depth_of, workspace_of
+from piegraph_cli.workspace.artifact import Artifact
+from piegraph_cli.workspace.execute import Context, Output
+
+
+def run(inputs: dict[str, Artifact], params: SegmentParams, context: Context) -> Output:
+    """Segment one sequence."""
+    frames, hands = inputs["frames"], inputs["hands"]
+    cameras, count = cameras_of(frames), len(frames["time"])
+    color = [color_of(frames).of_camera(c) for c in range(len(cameras))]
+    depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
+    hand_px = hands["landmarks"].astype(np.float64)
+    workspace = workspace_of(frames)
+    unknown = set(params.prompts) - {c.name for c in cameras}
+    if unknown:
+        raise UsageError(f"segment.prompts names no camera of this recording: {', '.join(unknown)}", str(frames.path))
+    seed = _seed(params, color, depth, cameras, hand_px, workspace)
+    network = load_sam(params.sam_checkpoint, params.sam_model) if params.segmenter == "sam" else None
+    masks = []
+    for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
+        given = (color[c], depth[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
+        if network is None:
+            masks.append(segmentation.segment_sequence(*given))
+        else:
+            box = params.prompts.get(camera.name)
+            prompt = sam.SamPrompt(box=tuple(box)) if box else None
+            masks.append(sam.segment_sequence(network, *given, key_every=params.sam_every, prompt=prompt))
+    area = np.stack([m.sum((1, 2)) for m in masks], 1)
+    data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
+    found = (area > 0).any(1).mean()
+    quality = f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality)
+
+
+def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> ObjectSeed:
+    """Where the object is first: found by geometry; with a prompt for every camera, in the first frame."""
+    if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
+        return ObjectSeed(0, np.zeros((len(cameras), *color[0][0].shape[:2]), bool))
+    return find_object(color, depth, cameras, hand_px, workspace, params)

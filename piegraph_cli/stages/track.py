@@ -1,0 +1,45 @@
+"""Stage `track`: material particles that follow the object through its clouds."""
+
+import numpy as np
+import torch
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import TrackParams
+from piegraph_cli.physics.tracking import track
+from piegraph_cli.workspace.artifact import Artifact
+from piegraph_cli.workspace.execute import Context, Output
+
+POOR = 0.008
+"""Metres of residual above which the user is warned."""
+
+
+def run(inputs: dict[str, Artifact], params: TrackParams, context: Context) -> Output:
+    """Track one sequence."""
+    torch.set_num_threads(1)
+    source = inputs["clouds"]
+    clouds = np.split(source["points"], source["offsets"][1:-1])
+    grasp = source["contact"] if params.mode == "pick" else None
+    try:
+        tracked = track(
+            clouds, params, hand=source["end_effector"], grasp=grasp, progress=lambda c: context.progress(c, "track", len(clouds))
+        )
+    except DataError as error:
+        raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None
+    frames = len(clouds)
+    arrays = {
+        "positions": tracked.positions,
+        "residual": tracked.residual,
+        "visibility": tracked.weight,
+        "mode": np.full(frames, params.mode == "pick"),
+        "end_effector": source["end_effector"],
+        "contact": source["contact"],
+        "time": source["time"],
+    }
+    residual = float(np.median(tracked.residual[~tracked.held])) if not tracked.held.all() else float("nan")
+    quality = f"{frames} frames, residual {residual * 1000:.1f} mm (no accuracy: see docs/method.md)"
+    warnings = []
+    if tracked.held.any():
+        warnings.append(f"{tracked.held.sum()} frames without a cloud, first {int(tracked.held.argmax())}: particles held still")
+    if residual > POOR:
+        warnings.append(f"residual {residual * 1000:.1f} mm: look at the clouds with `piegraph report`")
+    return Output(arrays, quality, warnings)

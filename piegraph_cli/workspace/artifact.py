@@ -1,0 +1,218 @@
+"""Reading and writing one artifact: an HDF5 file that is complete or absent, checked when read."""
+
+import contextlib
+import datetime
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from piegraph_cli import __version__
+from piegraph_cli.errors import DataError
+from piegraph_cli.workspace.schema import FIXED_AXES, SCHEMA_VERSION, SCHEMAS, Field, field_of
+
+CHUNK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """One artifact in memory: `arrays` by dataset name, and the root attributes that say where it came from."""
+
+    path: Path
+    name: str
+    key: str
+    params: dict[str, Any]
+    inputs: dict[str, Any]
+    quality: str
+    arrays: dict[str, np.ndarray]
+
+    def __getitem__(self, dataset: str) -> np.ndarray:
+        return self.arrays[dataset]
+
+    def texts(self, dataset: str) -> list[str]:
+        """A text dataset as Python strings."""
+        return [value.decode() for value in self.arrays[dataset]]
+
+
+def write_artifact(
+    path: Path,
+    name: str,
+    arrays: Mapping[str, np.ndarray],
+    *,
+    stage: str,
+    stage_version: int,
+    key: str,
+    params: Mapping[str, Any],
+    inputs: Mapping[str, Any],
+    quality: str = "",
+) -> None:
+    """Write an artifact so that `path` is at every moment absent, the old file, or the whole new one.
+
+    Raises `DataError` for arrays that do not fit the schema (with `path` untouched) and for a full or read-only disk.
+    """
+    arrays = {dataset: _cast(name, dataset, value, path) for dataset, value in arrays.items()}
+    check_arrays(path, name, arrays)
+    attributes = {
+        "artifact": name,
+        "schema_version": SCHEMA_VERSION,
+        "stage": stage,
+        "stage_version": stage_version,
+        "key": key,
+        "params": json.dumps(params, sort_keys=True),
+        "inputs": json.dumps(inputs, sort_keys=True),
+        "quality": quality,
+        "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "software": f"piegraph {__version__}",
+    }
+    with atomic_file(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs.update(attributes)
+        for dataset, value in arrays.items():
+            _write_dataset(file, dataset, value, field_of(name, dataset))
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path in the same folder; on success sync it and rename it to `path`, on failure remove it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise DataError(f"cannot be written: {error}", str(path), "free disk space or check permissions, then rerun") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove temporary files of `path` that a killed process left behind; call with the artifact's lock held."""
+    for leftover in path.parent.glob(f".{path.name}.*.tmp"):
+        leftover.unlink(missing_ok=True)
+
+
+def _cast(name: str, dataset: str, value: np.ndarray, path: Path) -> np.ndarray:
+    field = field_of(name, dataset)
+    if field is None:
+        raise DataError(f"artifact {name} has no dataset {dataset}", str(path))
+    value = np.asarray(value)
+    if value.dtype.kind == "U":
+        value = np.char.encode(value, "utf-8")
+    return value if field.dtype == "*" else value.astype(field.dtype, copy=False)
+
+
+def _write_dataset(file: h5py.File, dataset: str, value: np.ndarray, field: Field | None) -> None:
+    assert field is not None
+    options: dict[str, Any] = {}
+    if value.ndim and value.size:
+        rows = max(1, min(len(value), CHUNK_BYTES // max(1, value.nbytes // len(value))))
+        options = {"chunks": (rows, *value.shape[1:]), "compression": "gzip", "shuffle": True, "fletcher32": True}
+        if field.units == "encoded image":
+            options["compression_opts"] = 1
+    handle = file.create_dataset(dataset, data=value, **options)
+    handle.attrs["units"], handle.attrs["axes"] = field.units, field.axes
+
+
+def read_artifact(path: Path, name: str) -> Artifact:
+    """Read and check a whole artifact. Raises `DataError` naming file and dataset when something is off."""
+    with _open(path, name) as file:
+        attributes = _attributes(file, path, name)
+        arrays: dict[str, np.ndarray] = {}
+
+        def take(dataset: str, item: h5py.Dataset | h5py.Group) -> None:
+            if isinstance(item, h5py.Dataset):
+                if item.dtype.hasobject:
+                    raise DataError(f"dataset {dataset} has a type that is not allowed", str(path), _remake(path, attributes))
+                try:
+                    arrays[dataset] = item[()]
+                except (OSError, ValueError, MemoryError) as error:
+                    raise DataError(f"dataset {dataset} is damaged: {error}", str(path), _remake(path, attributes)) from None
+
+        file.visititems(take)
+    check_arrays(path, name, arrays, _remake(path, attributes))
+    try:
+        params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
+    except ValueError:
+        raise DataError("its params or inputs attribute is damaged", str(path), _remake(path, attributes)) from None
+    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays)
+
+
+def read_key(path: Path, name: str) -> str | None:
+    """The key of an artifact, or None when it is absent, damaged or of another version: then it is made again."""
+    if not path.is_file():
+        return None
+    try:
+        with _open(path, name) as file:
+            return _attributes(file, path, name)["key"]
+    except DataError:
+        return None
+
+
+@contextlib.contextmanager
+def _open(path: Path, name: str) -> Iterator[h5py.File]:
+    if not path.is_file():
+        raise DataError(f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise DataError(f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again") from None
+    with file:
+        yield file
+
+
+def _attributes(file: h5py.File, path: Path, name: str) -> dict[str, str]:
+    version = file.attrs.get("schema_version")
+    if isinstance(version, np.integer) and version > SCHEMA_VERSION:
+        raise DataError(
+            f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})", str(path), "update piegraph"
+        )
+    attributes = {k: file.attrs.get(k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
+    if version != SCHEMA_VERSION or not all(isinstance(value, str) for value in attributes.values()):
+        raise DataError("not an artifact of this version", str(path), "make it again with --force")
+    if attributes["artifact"] != name:
+        raise DataError(f"holds {attributes['artifact']}, expected {name}", str(path), "give the file of the right stage")
+    return attributes  # type: ignore[return-value]
+
+
+def _remake(path: Path, attributes: Mapping[str, str]) -> str:
+    return f"make it again: `piegraph {attributes['stage']} --force`"
+
+
+def check_arrays(path: Path, name: str, arrays: Mapping[str, np.ndarray], hint: str = "") -> None:
+    """Check names, types, axes and finiteness of an artifact's arrays against the schema."""
+    missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays]
+    if missing:
+        raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
+    lengths = dict(FIXED_AXES)
+    for dataset, value in arrays.items():
+        field = field_of(name, dataset)
+        where = f"{path}, dataset {dataset}"
+        if field is None:
+            raise DataError("not a dataset of this artifact", where, hint)
+        if field.dtype != "*" and value.dtype != np.dtype(field.dtype):
+            raise DataError(f"type {value.dtype}, expected {field.dtype}", where, hint)
+        if field.axes != "*":
+            _check_axes(value, field.axes.split(",") if field.axes else [], lengths, where, hint)
+        if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
+            row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
+            raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
+
+
+def _check_axes(value: np.ndarray, axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
+    if value.ndim != len(axes):
+        raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
+    for axis, length in zip(axes, value.shape, strict=True):
+        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis, length)
+        if length != expected:
+            raise DataError(f"axis {axis} has length {length}, expected {expected}", where, hint)

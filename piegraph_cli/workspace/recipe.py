@@ -1,0 +1,112 @@
+"""Recipes: one TOML file per experiment, a section per stage. The one in force is kept as RUN/recipe.toml."""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import Params
+from piegraph_cli.stages import STAGES, Stage
+from piegraph_cli.workspace.artifact import atomic_file
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:  # pragma: no cover
+    import tomli as tomllib
+
+SHIPPED = next(p for p in (Path(__file__).parents[1] / "pipelines", Path(__file__).parents[2] / "pipelines") if p.is_dir())
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The settings given for each stage; whatever is not given has its default."""
+
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def params(self, stage: Stage) -> Params:
+        """The validated settings of a stage."""
+        return _validate(stage, self.sections.get(stage.name, {}), "recipe")
+
+    def with_values(self, stage: Stage, values: Mapping[str, Any], where: str) -> "Recipe":
+        """This recipe with some settings of a stage replaced; raises `UsageError` for unknown or wrong ones."""
+        section = self.sections.get(stage.name, {}) | dict(values)
+        _validate(stage, section, where)
+        return replace(self, sections=self.sections | {stage.name: section})
+
+    def chain(self) -> list[Stage]:
+        """The stages of this recipe, in order: from a simulation or from a recording, on to what the recipe names."""
+        from_recording = "ingest" in self.sections or "simulate" not in self.sections
+        skipped = {"simulate"} if from_recording else {"ingest", "hands", "segment", "fuse", "track"}
+        if "plan" not in self.sections:
+            skipped.add("plan")
+        return [stage for stage in STAGES.values() if stage.name not in skipped]
+
+    def save(self, path: Path) -> None:
+        """Write the recipe as TOML."""
+        plain = {name: _plain(section) for name, section in self.sections.items()}
+        with atomic_file(path) as temporary:
+            temporary.write_text(tomli_w.dumps(plain))
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Read a recipe; paths in it are relative to its folder. Raises `UsageError` for unknown sections and settings."""
+    try:
+        sections = tomllib.loads(path.read_text())
+    except FileNotFoundError:
+        raise DataError("no such recipe", str(path), f"give a .toml file, or one of {', '.join(shipped())}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise UsageError(f"not a readable TOML file: {error}", str(path)) from None
+    recipe = Recipe()
+    for name, section in sections.items():
+        if name not in STAGES or not isinstance(section, dict):
+            raise UsageError(f"unknown section [{name}]", str(path), f"sections are the stages: {', '.join(STAGES)}")
+        stage = STAGES[name]
+        recipe = recipe.with_values(stage, section, str(path))
+        for setting, file in recipe.params(stage).files().items():
+            absolute = str((path.parent / file).resolve()) + str(section[setting])[len(str(file)) :]
+            recipe = recipe.with_values(stage, {setting: absolute}, str(path))
+    return recipe
+
+
+def shipped() -> list[str]:
+    """Names of the recipes that come with the package."""
+    return sorted(p.stem for p in SHIPPED.glob("*.toml"))
+
+
+def find_recipe(name: str) -> Path:
+    """The path of a recipe given as a file or by the name of a shipped one."""
+    path = SHIPPED / f"{name}.toml"
+    return path if name in shipped() and not Path(name).exists() else Path(name)
+
+
+def parse_setting(text: str) -> tuple[Stage, str, Any]:
+    """`stage.setting=value` with a TOML value; anything that is not TOML is text."""
+    place, equals, value = text.partition("=")
+    stage, dot, setting = place.strip().partition(".")
+    if not equals or not dot or stage not in STAGES:
+        raise UsageError(f"cannot read --set {text}", hint="use STAGE.SETTING=VALUE, as in --set track.stiffness=0.1")
+    try:
+        return STAGES[stage], setting, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return STAGES[stage], setting, value.strip()
+
+
+def _validate(stage: Stage, values: Mapping[str, Any], where: str) -> Params:
+    try:
+        return stage.params.model_validate(dict(values))
+    except ValidationError as error:
+        problem = error.errors()[0]
+        setting = ".".join([stage.name, *(str(part) for part in problem["loc"])])
+        known = ", ".join(stage.params.model_fields)
+        hint = f"settings of {stage.name}: {known}" if problem["type"] == "extra_forbidden" else f"piegraph {stage.name} --help"
+        message = "unknown setting" if problem["type"] == "extra_forbidden" else problem["msg"]
+        raise UsageError(f"{setting}: {message}", where, hint) from None
+
+
+def _plain(section: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: str(v) if isinstance(v, Path) else v for k, v in section.items() if v is not None}

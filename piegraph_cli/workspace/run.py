@@ -1,0 +1,161 @@
+"""A run folder: where its artifacts are, the key each should have, and so what is fresh, stale, failed or missing."""
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
+
+from piegraph_cli.errors import DataError, PiegraphError, UsageError
+from piegraph_cli.params import IngestParams, SimulateParams
+from piegraph_cli.recording.layout import list_sequences
+from piegraph_cli.stages import STAGES, Stage
+from piegraph_cli.workspace.artifact import atomic_file, read_key
+from piegraph_cli.workspace.recipe import Recipe, load_recipe
+
+
+@dataclass
+class Run:
+    """One run folder with the recipe in force. Keys are worked out once per object: make a new one after a change."""
+
+    folder: Path
+    recipe: Recipe
+    _keys: dict[tuple[str, str | None], str | None] = field(default_factory=dict)
+
+    @classmethod
+    def open(cls, folder: Path) -> "Run":
+        """An existing run, or an empty one where there is none yet."""
+        path = folder / "recipe.toml"
+        if folder.exists() and not folder.is_dir():
+            raise UsageError("is a file", str(folder), "give --run a folder")
+        return cls(folder, load_recipe(path) if path.exists() else Recipe())
+
+    def save_recipe(self) -> None:
+        """Keep the recipe in force in the run folder."""
+        path = self.folder / "recipe.toml"
+        if not path.exists() or load_recipe(path) != self.recipe:
+            self.recipe.save(path)
+
+    def path(self, artifact: str, sequence: str | None) -> Path:
+        """Where an artifact is."""
+        return self.folder / artifact / f"{sequence}.h5" if sequence else self.folder / f"{artifact}.h5"
+
+    def lock(self, name: str) -> FileLock:
+        """The lock that keeps two processes from making the same artifact."""
+        folder = self.folder / ".locks"
+        folder.mkdir(parents=True, exist_ok=True)
+        return FileLock(folder / f"{name.replace('/', '.')}.lock")
+
+    def producer(self, artifact: str) -> Stage:
+        """The stage of this run's chain that writes an artifact."""
+        return next(stage for stage in self.recipe.chain() if stage.writes == artifact)
+
+    @cached_property
+    def sequences(self) -> list[str]:
+        """Names of the run's sequences, from its simulation or its recording."""
+        if self.recipe.chain()[0].name == "simulate":
+            params = self.recipe.params(STAGES["simulate"])
+            assert isinstance(params, SimulateParams)
+            return [f"sequence_{i:04d}" for i in range(params.sequences)]
+        return [folder.name for folder in list_sequences(self.recording)]
+
+    @property
+    def recording(self) -> Path:
+        """The recording folder of this run."""
+        params = self.recipe.params(STAGES["ingest"])
+        assert isinstance(params, IngestParams)
+        if params.recording is None:
+            raise UsageError("this run has no recording", str(self.folder), "piegraph ingest --recording FOLDER --run RUN")
+        return params.recording
+
+    def units(self, stage: Stage) -> list[str | None]:
+        """What a stage works through: the run's sequences, or the run itself (None)."""
+        return list(self.sequences) if stage.per == "sequence" else [None]
+
+    def inputs(self, stage: Stage, sequence: str | None) -> list[tuple[str, str | None]]:
+        """The (artifact, sequence) files a stage reads; sequences that failed earlier are left out of a run's stage."""
+        chain = {s.writes for s in self.recipe.chain()}
+        names = [n for n in (*stage.reads, *stage.scores) if n in chain or n in stage.reads]
+        files: list[tuple[str, str | None]] = []
+        for name in names:
+            producer = self.producer(name)
+            if producer.per == "run":
+                files.append((name, None))
+            elif sequence is not None:
+                files.append((name, sequence))
+            else:
+                files += [(name, s) for s in self.sequences if not self.failure(producer, s)]
+        return files
+
+    def key(self, stage: Stage, sequence: str | None) -> str:
+        """The key the stage's artifact has when it is fresh: a hash of the stage, its settings and its inputs' keys."""
+        slot = (stage.name, sequence)
+        if slot not in self._keys:
+            params = self.recipe.params(stage)
+            settings = params.model_dump(mode="json")
+            for name, path in params.files().items():
+                settings[name] = content_hash(path / sequence if path.is_dir() and sequence else path, name)
+            inputs = [[name, s, self.key(self.producer(name), s)] for name, s in self.inputs(stage, sequence)]
+            unit = sequence if not stage.reads else None
+            text = json.dumps([stage.name, stage.version, unit, settings, inputs], sort_keys=True)
+            self._keys[slot] = hashlib.sha256(text.encode()).hexdigest()
+        return self._keys[slot]  # type: ignore[return-value]
+
+    def state(self, stage: Stage, sequence: str | None) -> str:
+        """`fresh`, `stale`, `missing` or `failed`."""
+        stored = read_key(self.path(stage.writes, sequence), stage.writes)
+        if stored is not None and stored == self.key(stage, sequence):
+            return "fresh"
+        if self.failure(stage, sequence):
+            return "failed"
+        return "stale" if self.path(stage.writes, sequence).exists() else "missing"
+
+    def failure(self, stage: Stage, sequence: str | None) -> str | None:
+        """Why this stage, or one before it, failed on a sequence with the settings in force; None where none did."""
+        for earlier in self.recipe.chain():
+            record = self.failures.get(f"{earlier.name}/{sequence}")
+            if earlier.per == "sequence" and record and record["key"] == self.key(earlier, sequence):
+                return record["message"]
+            if earlier == stage:
+                break
+        return None
+
+    @cached_property
+    def failures(self) -> dict[str, dict[str, Any]]:
+        """Recorded failures by `stage/sequence`."""
+        try:
+            return json.loads((self.folder / "failures.json").read_text())
+        except (OSError, ValueError):
+            return {}
+
+    def record_failures(self, stage: Stage, failed: dict[str | None, PiegraphError]) -> None:
+        """Replace the failures recorded for a stage."""
+        with self.lock("failures.json"):
+            self.__dict__.pop("failures", None)
+            kept = {place: record for place, record in self.failures.items() if not place.startswith(f"{stage.name}/")}
+            for sequence, error in failed.items():
+                record = {"key": self.key(stage, sequence), "message": str(error)}
+                kept[f"{stage.name}/{sequence}"] = record
+            if kept != self.failures:
+                with atomic_file(self.folder / "failures.json") as temporary:
+                    temporary.write_text(json.dumps(kept, indent=1))
+            self.failures = kept
+
+
+def content_hash(path: Path, setting: str) -> str:
+    """sha256 of a file, or of a folder's file names and contents together with a cameras.json beside the folder."""
+    digest = hashlib.sha256()
+    if path.is_dir():
+        files = sorted(p for p in path.rglob("*") if p.is_file())
+        files += [p for p in [path.parent / "cameras.json"] if p.is_file()]
+    elif path.is_file():
+        files = [path]
+    else:
+        raise DataError("no such file or folder", str(path), f"correct the setting {setting}")
+    for file in files:
+        digest.update(file.relative_to(path.parent if path.is_dir() else file.parent).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()

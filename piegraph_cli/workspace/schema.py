@@ -1,0 +1,140 @@
+"""What each artifact holds: the one table of dataset names with their axes, units and types."""
+
+from dataclasses import dataclass
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Field:
+    """One dataset: `axes` by name (equal names have equal length within a file), `units`, numpy `dtype`."""
+
+    axes: str
+    units: str
+    dtype: str
+    nan: bool = False
+    """NaN marks what was not observed; otherwise every value must be finite."""
+
+
+FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "se2": 3, "start_end": 2}
+"""Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
+
+TEXT = "S128"
+
+_TIME = Field("frame", "s", "float64")
+_HAND_PATH = {
+    "end_effector": Field("frame,xyz", "m", "float32", nan=True),
+    "contact": Field("frame", "1", "bool"),
+    "time": _TIME,
+}
+
+SCHEMAS: dict[str, dict[str, Field]] = {
+    "frames": {
+        "color": Field("color_byte", "encoded image", "uint8"),
+        "color_offsets": Field("image_edge", "byte", "int64"),
+        "depth": Field("depth_byte", "encoded image", "uint8"),
+        "depth_offsets": Field("image_edge", "byte", "int64"),
+        "time": _TIME,
+        "source_frame": Field("frame,camera", "1", "int64"),
+        "camera_name": Field("camera", "text", TEXT),
+        "image_size": Field("camera,wh", "px", "int64"),
+        "K": Field("camera,3,3", "px", "float64"),
+        "distortion": Field("camera,5", "1", "float64"),
+        "depth_scale": Field("camera", "m", "float64"),
+        "T_world_camera": Field("camera,4,4", "m", "float64"),
+    },
+    "hands": {
+        "landmarks": Field("frame,camera,landmark,xy", "px", "float32", nan=True),
+        "seen": Field("frame,camera", "1", "bool"),
+        "keypoints": Field("frame,landmark,xyz", "m", "float32", nan=True),
+        "end_effector": Field("frame,xyz", "m", "float32", nan=True),
+        "observed": Field("frame", "1", "bool"),
+        "time": _TIME,
+    },
+    "masks": {
+        "mask": Field("mask_byte", "encoded image", "uint8"),
+        "mask_offsets": Field("image_edge", "byte", "int64"),
+        "area": Field("frame,camera", "px", "int64"),
+        "time": _TIME,
+    },
+    "clouds": {
+        "points": Field("point,xyz", "m", "float32"),
+        "offsets": Field("frame_edge", "1", "int64"),
+        **_HAND_PATH,
+    },
+    "tracks": {
+        "positions": Field("frame,particle,xyz", "m", "float32"),
+        "residual": Field("frame", "m", "float32", nan=True),
+        "visibility": Field("frame,particle", "1", "float32"),
+        "mode": Field("frame", "0 push, 1 pick", "uint8"),
+        **_HAND_PATH,
+    },
+    "dataset": {
+        "positions": Field("frame,particle,xyz", "m", "float32"),
+        "end_effector": Field("frame,xy", "m", "float32"),
+        "strokes": Field("stroke,first_last", "frame", "int64"),
+        "stroke_sequence": Field("stroke", "sequence", "int64"),
+        "stroke_mode": Field("stroke", "0 push, 1 pick", "uint8"),
+        "pairs": Field("pair,first_last", "frame", "int64"),
+        "pair_stroke": Field("pair", "stroke", "int64"),
+        "sequence_name": Field("sequence", "text", TEXT),
+        "sequence_start": Field("sequence", "frame", "int64"),
+        "sequence_split": Field("sequence", "0 train, 1 validation, 2 test", "uint8"),
+    },
+    "model": {
+        "weights/*": Field("*", "1", "float32"),
+        "particles": Field("", "1", "int64"),
+        "step": Field("record", "1", "int64"),
+        "train_loss": Field("record", "dm^2", "float64"),
+        "validation_loss": Field("record", "dm^2", "float64", nan=True),
+    },
+    "checkpoint": {"state/*": Field("*", "1", "*", nan=True)},
+    "metrics": {
+        "model": Field("row", "text", TEXT),
+        "horizon": Field("row", "stroke", "int64"),
+        "sequence": Field("row", "text", TEXT),
+        "first_stroke": Field("row", "stroke", "int64"),
+        "cd": Field("row", "cm", "float64"),
+        "s": Field("row", "cm^2", "float64"),
+        "pd": Field("row", "cm", "float64"),
+        "pd_truth": Field("row", "cm", "float64", nan=True),
+        "score_name": Field("score", "text", TEXT),
+        "score_sequence": Field("score", "text", TEXT),
+        "score_value": Field("score", "see score_name", "float64", nan=True),
+    },
+    "plan": {
+        "goal": Field("episode,goal_point,xyz", "m", "float32"),
+        "episode": Field("step", "episode", "int64"),
+        "stroke": Field("step,start_end,xy", "m", "float32"),
+        "mode": Field("step", "0 push, 1 pick", "uint8"),
+        "before": Field("step,particle,xyz", "m", "float32"),
+        "predicted": Field("step,particle,xyz", "m", "float32"),
+        "after": Field("step,particle,xyz", "m", "float32", nan=True),
+        "cost": Field("step", "m", "float64"),
+        "distance": Field("step", "m", "float64", nan=True),
+        "blocked": Field("step", "1", "bool"),
+        "seconds": Field("step", "s", "float64"),
+        "seed": Field("episode", "1", "int64"),
+        "start_distance": Field("episode", "m", "float64"),
+        "end_distance": Field("episode", "m", "float64", nan=True),
+    },
+    "truth": {
+        "particles": Field("frame,material_point,xyz", "m", "float32"),
+        "pose": Field("frame,se2", "m, m, rad", "float64", nan=True),
+        "object_mask": Field("object_mask_byte", "encoded image", "uint8"),
+        "object_mask_offsets": Field("image_edge", "byte", "int64"),
+        "hand_mask": Field("hand_mask_byte", "encoded image", "uint8"),
+        "hand_mask_offsets": Field("image_edge", "byte", "int64"),
+        "hand_keypoints": Field("frame,landmark,xyz", "m", "float32", nan=True),
+        "vertices": Field("frame,vertex,xyz", "m", "float32"),
+        "triangles": Field("triangle,3", "vertex", "int64"),
+        "stroke": Field("frame", "stroke, -1 none", "int64"),
+        **_HAND_PATH,
+    },
+}
+
+
+def field_of(artifact: str, dataset: str) -> Field | None:
+    """The field of a dataset, with `group/*` patterns resolved, or None when the artifact has no such dataset."""
+    fields = SCHEMAS[artifact]
+    return fields.get(dataset) or fields.get(dataset.split("/")[0] + "/*")

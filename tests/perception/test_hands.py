@@ -1,0 +1,162 @@
+"""Merging hand landmarks over cameras and time, on landmarks and depth whose truth is known."""
+
+import numpy as np
+import pytest
+
+from piegraph_cli.errors import MissingError
+from piegraph_cli.perception.hands import (
+    FLESH,
+    detect_hands,
+    end_effector,
+    fill_gaps,
+    lift_hands,
+    merge_rays,
+)
+from tests.perception.scene import hand_pose, ring_camera
+
+CAMERAS = [ring_camera(azimuth, f"c{n}") for n, azimuth in enumerate((0.4, 2.0, 3.5, 5.1))]
+TIMES = np.arange(8) * 0.2
+HANDS = np.array([hand_pose(np.array([0.1 - 0.01 * f, 0.02, 0.03])) for f in range(8)])
+
+
+def landmarks_of(hands: np.ndarray) -> np.ndarray:
+    return np.stack([[camera.project(hand)[0] for camera in CAMERAS] for hand in hands])
+
+
+def skin_depth(hands: np.ndarray):
+    """Depth images that read the skin above each landmark in a small patch, the nearest landmark on top."""
+
+    def depth(frame: int, c: int) -> np.ndarray:
+        pixels, distance = CAMERAS[c].project(hands[frame])
+        image = np.zeros((159, 212), np.uint16)
+        for k in np.argsort(-distance):
+            length = np.linalg.norm(CAMERAS[c].rays(pixels[k])[0])
+            column, row = np.round(pixels[k]).astype(int)
+            image[row - 2 : row + 3, column - 2 : column + 3] = round(1000 * (distance[k] - FLESH[k] / length))
+        return image
+
+    return depth
+
+
+def test_keypoints_of_clean_landmarks():
+    track = lift_hands(landmarks_of(HANDS), skin_depth(HANDS), CAMERAS, TIMES)
+    assert track.seen.all()
+    assert track.observed.all()
+    np.testing.assert_allclose(track.keypoints, HANDS, atol=2e-3)
+    assert (track.spread < 1e-3).all()
+
+
+def test_one_camera_needs_its_depth():
+    one = lift_hands(landmarks_of(HANDS)[:, :1], skin_depth(HANDS), CAMERAS[:1], TIMES)
+    assert np.nanmedian(np.linalg.norm(one.keypoints - HANDS, axis=-1)) < 3e-3
+    blind = lift_hands(landmarks_of(HANDS)[:, :1], lambda f, c: np.zeros((159, 212), np.uint16), CAMERAS[:1], TIMES)
+    assert np.isnan(blind.keypoints).all()
+    assert not blind.observed.any()
+    assert blind.seen.all()
+
+
+def test_two_cameras_need_no_depth():
+    nothing = np.zeros((159, 212), np.uint16)
+    track = lift_hands(landmarks_of(HANDS)[:, :2], lambda f, c: nothing, CAMERAS[:2], TIMES)
+    np.testing.assert_allclose(track.keypoints, HANDS, atol=1e-4)
+
+
+def test_a_camera_that_is_wrong_is_outvoted():
+    pixels = landmarks_of(HANDS)
+    pixels[:, 2] += 40
+    track = lift_hands(pixels, skin_depth(HANDS), CAMERAS, TIMES)
+    np.testing.assert_allclose(track.keypoints, HANDS, atol=3e-3)
+
+
+def test_depth_on_the_table_is_not_believed():
+    true = skin_depth(HANDS)
+
+    def table(frame: int, c: int) -> np.ndarray:
+        image = true(frame, c)
+        column, row = np.round(CAMERAS[c].project(HANDS[frame])[0][8]).astype(int)
+        rays = CAMERAS[c].rays([[column, row]]) @ CAMERAS[c].T_world_camera[:3, :3].T
+        image[row - 3 : row + 4, column - 3 : column + 4] = round(-1000 * CAMERAS[c].T_world_camera[2, 3] / rays[0, 2])
+        return image
+
+    track = lift_hands(landmarks_of(HANDS)[:, :1], table, CAMERAS[:1], TIMES)
+    assert np.isnan(track.keypoints[:, 8]).all()
+    assert np.isfinite(track.keypoints[:, 4]).all()
+
+
+def test_a_jump_is_dropped_and_filled():
+    hands = HANDS.copy()
+    hands[4] += [0.6, 0, 0]
+    track = lift_hands(landmarks_of(hands), lambda f, c: np.zeros((159, 212), np.uint16), CAMERAS, TIMES)
+    assert list(np.flatnonzero(~track.observed)) == [4]
+    np.testing.assert_allclose(track.keypoints[4], (HANDS[3] + HANDS[5]) / 2, atol=1e-3)
+
+
+def test_a_fast_hand_is_kept_when_allowed():
+    hands = HANDS.copy()
+    hands[4:] += [0.2, 0, 0]
+    nothing = np.zeros((159, 212), np.uint16)
+    assert lift_hands(landmarks_of(hands), lambda f, c: nothing, CAMERAS, TIMES, max_speed=1.5).observed.all()
+    slow = lift_hands(landmarks_of(hands), lambda f, c: nothing, CAMERAS, TIMES, max_speed=0.3)
+    assert not slow.observed[3:5].all()
+
+
+@pytest.mark.parametrize(("missing", "filled"), [([3], True), ([3, 4], True), ([3, 4, 5], False), ([0], False)])
+def test_only_short_inner_gaps_are_filled(missing, filled):
+    keypoints = HANDS.copy()
+    keypoints[missing] = np.nan
+    result = fill_gaps(keypoints, TIMES, max_gap=0.65)
+    if filled:
+        np.testing.assert_allclose(result, HANDS, atol=1e-9)
+    else:
+        assert np.isnan(result[missing]).all()
+
+
+def test_a_hand_hidden_from_one_camera_is_projected_into_it():
+    pixels = landmarks_of(HANDS)
+    expected = pixels[:, 1].copy()
+    pixels[:, 1] = np.nan
+    track = lift_hands(pixels, skin_depth(HANDS), CAMERAS, TIMES)
+    assert not track.seen[:, 1].any()
+    assert track.seen[:, 0].all()
+    np.testing.assert_allclose(track.pixels[:, 1], expected, atol=1)
+
+
+def test_a_hand_never_seen():
+    def never(frame: int, camera: int) -> np.ndarray:
+        raise AssertionError("depth asked for without a hand")
+
+    track = lift_hands(np.full((8, 4, 21, 2), np.nan), never, CAMERAS, TIMES)
+    assert np.isnan(track.keypoints).all()
+    assert np.isnan(track.pixels).all()
+    assert np.isnan(track.spread).all()
+    assert not track.observed.any()
+    assert not track.seen.any()
+
+
+def test_a_single_frame():
+    track = lift_hands(landmarks_of(HANDS[:1]), skin_depth(HANDS), CAMERAS, TIMES[:1])
+    np.testing.assert_allclose(track.keypoints, HANDS[:1], atol=2e-3)
+
+
+def test_parallel_rays_alone_say_nothing():
+    origins = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    rays = np.tile([0.0, 0, 1], (1, 2, 1, 1))
+    assert np.isnan(merge_rays(origins, rays, np.full(rays.shape, np.nan))).all()
+
+
+def test_end_effector_lies_between_the_finger_tips():
+    np.testing.assert_allclose(end_effector(HANDS)[0], [0.1, 0.02, 0.03], atol=1e-3)
+    keypoints = HANDS.copy()
+    keypoints[2, 8] = np.nan
+    assert np.isnan(end_effector(keypoints)[2]).all()
+
+
+def test_a_missing_model_is_named(tmp_path):
+    with pytest.raises(MissingError, match=r"nowhere\.task.*\n.*doctor --fetch hand-landmarker"):
+        detect_hands([], np.zeros(0), tmp_path / "nowhere.task")
+
+
+def test_a_broken_model_is_named(tmp_path):
+    (tmp_path / "broken.task").write_bytes(b"not a model")
+    with pytest.raises(MissingError, match=r"broken\.task"):
+        detect_hands([np.zeros((64, 64, 3), np.uint8)], np.zeros(1), tmp_path / "broken.task")

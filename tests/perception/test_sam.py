@@ -1,0 +1,214 @@
+"""Segment Anything through its official predictor, with a small model of the official classes trained here."""
+
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.perception import sam_models
+from piegraph_cli.perception.sam import SamPrompt, automatic_prompt, predict_mask, segment_sequence
+from piegraph_cli.perception.seeds import SegmentParams
+from tests.perception.scene import TABLE, WORKSPACE, pushing_sequence, ring_camera
+
+NO_HAND = np.zeros((0, 2))
+
+
+def tee(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """An image [256, 256, 3] of a blue T on a brownish ground, and the T's mask."""
+    outline = [[-1, -1], [1, -1], [1, -0.5], [0.25, -0.5], [0.25, 1], [-0.25, 1], [-0.25, -0.5], [-1, -0.5]]
+    turn = rng.uniform(0, 2 * np.pi)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    corners = np.array(outline) * rng.uniform(30, 55) @ rotation.T + rng.uniform(80, 176, 2)
+    mask = cv2.fillPoly(np.zeros((256, 256), np.uint8), [np.round(corners).astype(np.int32)], 1).astype(bool)
+    image = np.where(mask[..., None], [30, 70, 180], TABLE + rng.integers(-30, 30, 3)) + rng.normal(0, 6, (256, 256, 3))
+    return image.clip(0, 255).astype(np.uint8), mask
+
+
+def train(steps: int, batch: int = 2):
+    torch.manual_seed(0)
+    rng = np.random.default_rng(0)
+    sam = sam_models.build_sam("tiny").train()
+    optimiser = torch.optim.AdamW(sam.parameters(), 2e-3, weight_decay=0)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, total_steps=steps, pct_start=0.1)
+    for _ in range(steps):
+        examples = [tee(rng) for _ in range(batch)]
+        pixels = torch.tensor(np.stack([image for image, _ in examples])).permute(0, 3, 1, 2).float()
+        features = sam.image_encoder(sam.preprocess(pixels))
+        loss = sum(example_loss(sam, f, mask) for f, (_, mask) in zip(features, examples, strict=True))
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(sam.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+    return sam.eval()
+
+
+def example_loss(sam, features: torch.Tensor, mask: np.ndarray) -> torch.Tensor:
+    prompt = automatic_prompt(mask)
+    points = torch.tensor([prompt.points]), torch.ones(1, len(prompt.points), dtype=torch.int)
+    sparse, dense = sam.prompt_encoder(points=points, boxes=torch.tensor([prompt.box]), masks=None)
+    low, quality = sam.mask_decoder(features[None], sam.prompt_encoder.get_dense_pe(), sparse, dense, True)
+    target = torch.tensor(cv2.resize(mask.astype(np.float32), (64, 64), interpolation=cv2.INTER_AREA)).expand(3, 64, 64)
+    share = low[0].sigmoid()
+    dice = 1 - (2 * (share * target).sum((1, 2)) + 1) / ((share + target).sum((1, 2)) + 1)
+    found, true = low[0].detach() > 0, target > 0.5
+    overlap = (found & true).sum((1, 2)) / (found | true).sum((1, 2)).clamp(min=1)
+    entropy = torch.nn.functional.binary_cross_entropy_with_logits(low[0], target)
+    return entropy + dice.mean() + 0.1 * ((quality[0] - overlap) ** 2).mean()
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sam") / "tiny.pt"
+    torch.save(train(steps=60).state_dict(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def sam(checkpoint):
+    return sam_models.load_sam(checkpoint, "tiny")
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return (a & b).sum() / (a | b).sum()
+
+
+def test_the_official_predictor_beats_filling_the_box(sam):
+    predictor = sam_models.import_segment_anything().SamPredictor(sam)
+    rng = np.random.default_rng(1)
+    found, filled = [], []
+    for _ in range(10):
+        image, mask = tee(rng)
+        prompt = automatic_prompt(mask)
+        found.append(iou(predict_mask(predictor, image, prompt, NO_HAND, np.zeros_like(mask)), mask))
+        left, top, right, bottom = (int(b) for b in prompt.box)
+        box = np.zeros_like(mask)
+        box[max(top, 0) : bottom, max(left, 0) : right] = True
+        filled.append(iou(box, mask))
+    assert np.mean(found) > 0.75 > np.mean(filled) + 0.2
+
+
+def test_a_sequence_is_embedded_on_key_frames_only(sam):
+    camera = ring_camera(0.4, width=256, height=192)
+    views, hands = pushing_sequence(5, [camera])
+    hand_px = np.array([camera.project(hand)[0] for hand in hands])
+    truth = np.array([row[0].object for row in views])
+    images, depths = [row[0].image for row in views], [row[0].depth for row in views]
+    embedded = []
+    hook = sam.image_encoder.register_forward_hook(lambda *_: embedded.append(1))
+    masks = segment_sequence(sam, images, depths, camera, hand_px, WORKSPACE, 0, truth[0], SegmentParams(), key_every=2)
+    hook.remove()
+    assert len(embedded) == 3
+    assert all(iou(m, t) > 0.6 for m, t in zip(masks, truth, strict=True))
+
+
+def test_a_prompt_replaces_the_seed(sam):
+    camera = ring_camera(0.4, width=256, height=192)
+    views, _ = pushing_sequence(1, [camera])
+    view, no_hand, empty = views[0][0], np.full((1, 21, 2), np.nan), np.zeros((192, 256), bool)
+    arguments = (sam, [view.image], [view.depth], camera, no_hand, WORKSPACE, 0, empty, SegmentParams())
+    with pytest.raises(DataError, match="camera cam, frame 0"):
+        segment_sequence(*arguments)
+    masks = segment_sequence(*arguments, prompt=automatic_prompt(view.object))
+    assert iou(masks[0], view.object) > 0.6
+
+
+def test_automatic_points_lie_on_the_object():
+    _, mask = tee(np.random.default_rng(3))
+    prompt = automatic_prompt(mask)
+    assert len(prompt.points) == 3
+    assert all(mask[int(row), int(column)] for column, row in prompt.points)
+    rows, columns = np.nonzero(mask)
+    left, top, right, bottom = prompt.box
+    assert left < columns.min()
+    assert right > columns.max()
+    assert top < rows.min()
+    assert bottom > rows.max()
+
+
+def test_an_empty_prompt_is_refused():
+    with pytest.raises(UsageError, match="points or a box"):
+        predict_mask(None, np.zeros((8, 8, 3), np.uint8), SamPrompt(), NO_HAND, np.zeros((8, 8), bool))
+
+
+def test_missing_weights_say_how_to_get_them(tmp_path):
+    with pytest.raises(MissingError, match=r"(?s)sam_vit_b\.pth.*doctor --fetch.*--sam-checkpoint"):
+        sam_models.load_sam(tmp_path / "sam_vit_b.pth", "vit_b")
+
+
+def test_weights_of_another_model_are_refused(tmp_path):
+    torch.save({"some.weight": torch.zeros(3)}, tmp_path / "other.pt")
+    with pytest.raises(DataError, match=r"other\.pt"):
+        sam_models.load_sam(tmp_path / "other.pt", "tiny")
+
+
+class Payload:
+    """Writes a file when unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+def test_weights_cannot_run_code(tmp_path):
+    torch.save(Payload(tmp_path / "ran"), tmp_path / "evil.pt")
+    with pytest.raises(DataError, match=r"evil\.pt"):
+        sam_models.load_sam(tmp_path / "evil.pt", "tiny")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_an_unknown_model_lists_the_known_ones():
+    with pytest.raises(UsageError, match="vit_h, vit_l, vit_b, tiny"):
+        sam_models.build_sam("huge")
+
+
+def test_the_stand_in_leaves_no_trace(monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] in ("segment_anything", "torchvision")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sam_models, "batched_nms", mark := lambda *_: None)
+    monkeypatch.setitem(sys.modules, "torchvision", None)
+    package = sam_models.import_segment_anything()
+    assert package.automatic_mask_generator.batched_nms is mark
+    assert not any(name.startswith("torchvision.") for name in sys.modules)
+    for name in [name for name in sys.modules if name.split(".")[0] == "segment_anything"]:
+        monkeypatch.delitem(sys.modules, name)
+
+
+coordinate = st.floats(0, 20)
+scored_box = st.tuples(coordinate, coordinate, coordinate, coordinate, st.floats(0, 1), st.integers(0, 2))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(scored_box, max_size=12))
+def test_suppression_equals_its_definition(rows):
+    table = torch.tensor(rows, dtype=torch.float32).reshape(-1, 6)
+    boxes = torch.cat([table[:, :2], table[:, :2] + table[:, 2:4] + 0.1], dim=1)
+    scores, groups = table[:, 4], table[:, 5]
+    kept = []
+    for n in sorted(range(len(rows)), key=lambda n: -scores[n].item()):
+        if all(groups[n] != groups[k] or overlap(boxes[n], boxes[k]) <= 0.5 for k in kept):
+            kept.append(n)
+    assert sam_models.batched_nms(boxes, scores, groups, 0.5).tolist() == kept
+
+
+def overlap(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    width = (torch.minimum(a[2], b[2]) - torch.maximum(a[0], b[0])).clamp(min=0)
+    height = (torch.minimum(a[3], b[3]) - torch.maximum(a[1], b[1])).clamp(min=0)
+    both = width * height
+    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
+
+
+def test_resizing_equals_antialiased_interpolation():
+    image = np.random.default_rng(0).integers(0, 256, (60, 90, 3)).astype(np.uint8)
+    resized = np.array(sam_models.resize(sam_models.to_pil_image(image), (20, 30)))
+    tensor = torch.tensor(image).permute(2, 0, 1)[None].float()
+    reference = torch.nn.functional.interpolate(tensor, (20, 30), mode="bilinear", antialias=True)[0].permute(1, 2, 0)
+    assert resized.shape == (20, 30, 3)
+    assert np.abs(resized - reference.numpy()).max() <= 1

@@ -1,0 +1,63 @@
+"""The camera model: projection and its inverse."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from piegraph_cli.recording.camera import Camera
+
+K = np.array([[390.0, 0, 210.3], [0, 385.0, 161.7], [0, 0, 1]])
+
+
+def camera(distortion=(0.0,) * 5, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)) -> Camera:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
+    pose[:3, 3] = translation
+    return Camera("front", 424, 318, K, np.array(distortion), pose)
+
+
+small = st.floats(-0.05, 0.05)
+vector = st.tuples(*[st.floats(-2, 2)] * 3)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.tuples(small, small, st.floats(-0.002, 0.002), st.floats(-0.002, 0.002), small),
+    vector,
+    vector,
+    st.lists(st.tuples(st.floats(0, 423), st.floats(0, 317), st.floats(0.2, 3)), min_size=1, max_size=10),
+)
+def test_unprojected_pixels_project_back(distortion, rotation, translation, samples):
+    view = camera(distortion, rotation, translation)
+    pixels, depth = np.array(samples)[:, :2], np.array(samples)[:, 2]
+    back, distance = view.project(view.unproject(pixels, depth))
+    np.testing.assert_allclose(back, pixels, atol=1e-4)
+    np.testing.assert_allclose(distance, depth, atol=1e-9)
+
+
+def test_pinhole_by_hand():
+    pixels, depth = camera().project(np.array([[0.1, -0.2, 2.0]]))
+    np.testing.assert_allclose(pixels, [[390 * 0.05 + 210.3, 385 * -0.1 + 161.7]])
+    np.testing.assert_allclose(depth, [2.0])
+
+
+def test_pose_maps_camera_to_world():
+    view = camera(rotation=(0, 0, np.pi / 2), translation=(1, 2, 3))
+    point = view.unproject(np.array([[K[0, 2] + 39.0, K[1, 2]]]), np.array([1.0]))
+    np.testing.assert_allclose(point, [[1.0, 2.1, 4.0]], atol=1e-9)
+
+
+def test_barrel_distortion_pulls_pixels_inwards():
+    point = np.array([[0.4, 0.0, 1.0]])
+    straight, bent = camera().project(point)[0], camera((-0.1, 0, 0, 0, 0)).project(point)[0]
+    assert bent[0, 0] < straight[0, 0] - 1
+
+
+def test_points_behind_the_camera_have_negative_depth():
+    assert camera().project(np.array([[0.0, 0.0, -1.0]]))[1][0] == -1
+
+
+def test_no_points():
+    assert camera().project(np.zeros((0, 3)))[0].shape == (0, 2)
+    assert camera().unproject(np.zeros((0, 2)), np.zeros(0)).shape == (0, 3)

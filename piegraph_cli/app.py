@@ -242,6 +242,38 @@ def report(run: RunFolder, as_json: AsJson = False) -> None:
 
 
 @app.command()
+def calibrate(
+    recording: Annotated[Path, typer.Argument(help="recording folder whose cameras.json has K and distortion")],
+    sequence: Annotated[str | None, typer.Option(help="sequence that shows the board [default: the first]")] = None,
+    columns: Annotated[int, typer.Option(help="squares across the board")] = 7,
+    rows: Annotated[int, typer.Option(help="squares down the board")] = 5,
+    square: Annotated[float, typer.Option(help="edge of a square [m]")] = 0.04,
+    marker: Annotated[float, typer.Option(help="edge of a marker [m]")] = 0.03,
+    dictionary: Annotated[str, typer.Option(help="OpenCV's name of the marker dictionary")] = "DICT_5X5_100",
+    as_json: AsJson = False,
+) -> None:
+    """Fill T_world_camera of cameras.json from a ChArUco board on the table: its middle is the origin, z is up."""
+    from piegraph_cli.recording.calibration import Board
+    from piegraph_cli.stages.calibrate import calibrate as locate
+
+    results = locate(recording, sequence, Board(columns, rows, square, marker, dictionary))
+    lines = [f"{name:12s} {error:5.2f} px{'  poor: check K and distortion' if poor else ''}" for name, error, poor in results]
+    _emit(_Report({"cameras": {name: {"error_px": error} for name, error, _ in results}}, lines), as_json)
+
+
+@app.command()
+def view(
+    run: RunFolder,
+    sequence: Annotated[str | None, typer.Option(help="sequence to show [default: the first]")] = None,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="port on this machine")] = 8080,
+) -> None:
+    """Show clouds and tracks of a sequence in the browser, on 127.0.0.1 only, until interrupted."""
+    from piegraph_cli.stages.view import serve
+
+    serve(run, sequence, port)
+
+
+@app.command()
 def doctor(
     fetch: Annotated[str | None, typer.Option(help="fetch a weight file by name")] = None, as_json: AsJson = False
 ) -> None:

@@ -148,8 +148,7 @@ class GuidanceSettings(Params):
 class EvaluateParams(GuidanceSettings):
     """Settings of `evaluate`."""
 
-    models: Lengths = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)]
-Names = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
+    models: Names = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
 
 

@@ -23,7 +23,7 @@ def make(name: str, **options):
 
 
 def import_extra(module: str):
-    """Import a module that belongs to, or needs, the `sim` extra; MissingError names the pip command if it is absent."""
+    """Import a module that is part of, or needs, the `sim` extra; MissingError names the pip command otherwise."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:

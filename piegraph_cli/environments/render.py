@@ -1,4 +1,4 @@
-"""Colour, depth and labels of a scene by ray casting (Embree): Lambert shading, two lamps with cast shadows, a wooden table."""
+"""Colour, depth and labels of a scene by ray casting (Embree): Lambert shading, lamps with shadows, a wooden table."""
 
 from dataclasses import dataclass, field
 
@@ -84,11 +84,16 @@ class Renderer:
         label = np.array([-1] + [s.label for s in surfaces])[hit["geomID"] + 1].reshape(shape)
         slope = np.abs(np.einsum("pc,pc->p", _unit(hit["Ng"]), _unit(self._rays[k]))).reshape(shape)
         depth = np.where(hit["geomID"] < 0, np.inf, hit["tfar"]).reshape(shape)
-        samples = [self._shade(scene, surfaces, origin, rays, lamp) for rays, lamp in zip(self._quad_rays[k], _QUAD, strict=True)]
+        samples = [
+            self._shade(scene, surfaces, origin, rays, lamp)
+            for rays, lamp in zip(self._quad_rays[k], _QUAD, strict=True)
+        ]
         color = np.clip(np.mean(samples, 0), 0, 1) ** (1 / 2.2)
         return View(color.reshape(*shape, 3).astype(np.float32), depth, label, slope)
 
-    def _shade(self, scene, surfaces: list[Part], origin: np.ndarray, rays: np.ndarray, lamp: tuple[float, float]) -> np.ndarray:
+    def _shade(
+        self, scene, surfaces: list[Part], origin: np.ndarray, rays: np.ndarray, lamp: tuple[float, float]
+    ) -> np.ndarray:
         """Linear RGB [P, 3] of rays [P, 3]; `lamp` moves the lamps, so that several samples give soft shadows."""
         hit = _cast(scene, origin, rays)
         points = origin + rays * hit["tfar"][:, None]
@@ -99,7 +104,10 @@ class Renderer:
             place = (position + _LAMP_RADIUS * 4 * np.array([*lamp, 0.0])).astype(np.float32)
             to_lamp = place - points
             cosine = np.maximum(np.einsum("pc,pc->p", normals, _unit(to_lamp)), 0)
-            lit = scene.run(points + 5e-4 * normals, to_lamp, dists=np.ones(len(points), np.float32), query="OCCLUDED") != 0
+            lit = (
+                scene.run(points + 5e-4 * normals, to_lamp, dists=np.ones(len(points), np.float32), query="OCCLUDED")
+                != 0
+            )
             light += power * cosine * lit
         color = albedo * light[:, None]
         color[hit["geomID"] < 0] = 0
@@ -121,7 +129,13 @@ class Renderer:
         return normals, albedo
 
     def _grain(self, points: np.ndarray) -> np.ndarray:
-        column, row = ((points[:, :2] + _TABLE_HALF) / (2 * _TABLE_HALF) * (_WOOD_SIZE - 1)).clip(0, _WOOD_SIZE - 1).round().astype(int).T
+        column, row = (
+            ((points[:, :2] + _TABLE_HALF) / (2 * _TABLE_HALF) * (_WOOD_SIZE - 1))
+            .clip(0, _WOOD_SIZE - 1)
+            .round()
+            .astype(int)
+            .T
+        )
         return self._wood[row, column]
 
 
@@ -138,7 +152,7 @@ def _cast(scene, origin: np.ndarray, rays: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _pixel_rays(camera: Camera, offset: tuple[float, float]) -> np.ndarray:
-    """World-frame rays [H * W, 3] float32 through the pixels (moved by `offset`), one metre deep: hit distance is depth."""
+    """World-frame rays [H * W, 3] through the pixels (moved by `offset`), one metre deep: hit distance is depth."""
     column, row = np.meshgrid(np.arange(camera.width) + offset[0], np.arange(camera.height) + offset[1])
     rays = camera.rays(np.column_stack([column.ravel(), row.ravel()]))
     return np.ascontiguousarray(rays @ camera.T_world_camera[:3, :3].T, np.float32)
@@ -159,18 +173,25 @@ def _room() -> list[Part]:
 
 def wood_texture(seed: int = 7) -> np.ndarray:
     """Linear RGB [S, S, 3] of a table top made of planks along x, each with its own tone and grain."""
-    import cv2
 
     rng, size = np.random.default_rng(seed), _WOOD_SIZE
-    row, column = np.mgrid[:size, :size].astype(np.float32)
+    row = np.mgrid[:size, :size][0].astype(np.float32)
     planks = 7
     plank = np.minimum((row / size * planks).astype(int), planks - 1)
-    wander = cv2.GaussianBlur(rng.standard_normal((size, size), np.float32), (0, 0), sigmaX=120, sigmaY=14)
-    wander *= 9 / wander.std()
+    wander = 9 * _stretched_noise(rng, size // 24, size // 200)
     rings = np.sin((row + wander + 37 * plank) * (0.16 + 0.02 * (plank % 3)))
-    fibre = cv2.GaussianBlur(rng.standard_normal((size, size), np.float32), (0, 0), sigmaX=30, sigmaY=0.7)
-    fibre /= fibre.std()
+    fibre = _stretched_noise(rng, size, size // 50)
     tone = rng.uniform(0.86, 1.08, planks)[plank] * (1 + 0.07 * rings + 0.045 * fibre)
     seam = np.abs((row / size * planks) % 1 - 0.5) > 0.494
     tone = np.where(seam, 0.55 * tone, tone)
     return (np.array([0.47, 0.30, 0.165]) * tone[..., None]).astype(np.float32)
+
+
+def _stretched_noise(rng: np.random.Generator, rows: int, columns: int) -> np.ndarray:
+    """Unit-variance noise [S, S] with that many independent values down and across."""
+    import cv2
+
+    noise = cv2.resize(
+        rng.standard_normal((rows, columns), np.float32), (_WOOD_SIZE,) * 2, interpolation=cv2.INTER_CUBIC
+    )
+    return noise / noise.std()

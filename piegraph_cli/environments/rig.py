@@ -7,7 +7,7 @@ import numpy as np
 from piegraph_cli.recording.camera import Camera
 
 _FIELD_OF_VIEW = math.radians(79.5)
-_PLACES = ((38.0, 45.0, 0.76), (137.0, 44.0, 0.74), (218.0, 46.0, 0.77), (322.0, 44.5, 0.75))
+_PLACES = ((40.0, 45.0, 0.76), (139.0, 44.0, 0.74), (207.0, 46.0, 0.77), (334.0, 44.5, 0.75))
 _DISTORTION = (
     (-0.045, 0.052, 0.0006, -0.0004, -0.016),
     (-0.041, 0.047, -0.0003, 0.0005, -0.014),
@@ -21,11 +21,19 @@ def camera_rig(width: int = 424, height: int = 318) -> list[Camera]:
 
     Focal length, principal point, distortion and the small differences between the cameras are those of a calibrated
     D455 colour stream: 79.5 degrees wide at any resolution.
+
+    Source: paper, section "Real-World Experiments" (four RealSense D455); placement and calibration are this project's.
     """
     focal = width / 2 / math.tan(_FIELD_OF_VIEW / 2)
     cameras = []
     for k, (azimuth, elevation, distance) in enumerate(_PLACES):
-        K = np.array([[focal, 0, width * (0.5 + 0.004 * (k - 1.5))], [0, focal * 0.999, height * (0.5 - 0.005 * (k - 1.5))], [0, 0, 1]])
+        K = np.array(
+            [
+                [focal, 0, width * (0.5 + 0.004 * (k - 1.5))],
+                [0, focal * 0.999, height * (0.5 - 0.005 * (k - 1.5))],
+                [0, 0, 1],
+            ]
+        )
         pose = look_at(math.radians(azimuth), math.radians(elevation), distance)
         cameras.append(Camera(f"cam{k}", width, height, K, np.array(_DISTORTION[k]), pose))
     return cameras
@@ -33,7 +41,9 @@ def camera_rig(width: int = 424, height: int = 318) -> list[Camera]:
 
 def look_at(azimuth: float, elevation: float, distance: float) -> np.ndarray:
     """T_world_camera [4, 4] of a camera at these angles (rad) and distance (m) that looks at the world's origin."""
-    back = np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)])
+    back = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
     right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = np.column_stack([right, np.cross(-back, right), -back])

@@ -27,21 +27,25 @@ class Block:
         """Closed surface in the body frame: vertices [V, 3] (m) and outward-facing triangles [T, 3]."""
         corners = np.concatenate([[[a, b], [c, b], [c, d], [a, d]] for a, b, c, d in self.rectangles])
         count, sides = len(corners), len(self.outline)
-        vertices = np.concatenate([
-            np.column_stack([corners, np.full(count, self.height)]),
-            np.column_stack([corners, np.zeros(count)]),
-            np.column_stack([self.outline, np.zeros(sides)]),
-            np.column_stack([self.outline, np.full(sides, self.height)]),
-        ])
+        vertices = np.concatenate(
+            [
+                np.column_stack([corners, np.full(count, self.height)]),
+                np.column_stack([corners, np.zeros(count)]),
+                np.column_stack([self.outline, np.zeros(sides)]),
+                np.column_stack([self.outline, np.full(sides, self.height)]),
+            ]
+        )
         starts = np.arange(0, count, 4)[:, None]
-        top = np.concatenate([starts + [0, 1, 2], starts + [0, 2, 3]])
+        top = np.concatenate([starts + np.array([0, 1, 2]), starts + np.array([0, 2, 3])])
         low = 2 * count + np.arange(sides)
         after = 2 * count + (np.arange(sides) + 1) % sides
-        walls = np.concatenate([np.column_stack([low, after, after + sides]), np.column_stack([low, after + sides, low + sides])])
+        walls = np.concatenate(
+            [np.column_stack([low, after, after + sides]), np.column_stack([low, after + sides, low + sides])]
+        )
         return vertices, np.concatenate([top, top[:, ::-1] + count, walls])
 
     def visible_surface(self, count: int, seed: int) -> np.ndarray:
-        """`count` points drawn evenly from the top and the sides, body frame [count, 3] (m); the underside is never seen."""
+        """`count` points drawn evenly from the top and the sides, body frame [count, 3] (m); never the underside."""
         vertices, triangles = self.mesh()
         corners = vertices[triangles]
         corners = corners[corners[..., 2].max(1) > 0]

@@ -1,8 +1,8 @@
 """A T-shaped block on a table, pushed by a round pusher: planar physics in Pymunk behind gymnasium's interface.
 
-Friction with the table acts at the level of velocity: the space forgets all velocity between two time steps (damping 0), so a
-contact impulse moves the block by the mass matrix diag(m, m, m c^2). That is the ellipsoidal limit surface of quasi-static
-pushing; it couples turning and sliding, c being the length that converts one into the other.
+Friction with the table acts at the level of velocity: the space forgets all velocity between two time steps
+(damping 0), so a contact impulse moves the block by the mass matrix diag(m, m, m c^2). That is the ellipsoidal limit
+surface of quasi-static pushing; it couples turning and sliding, c being the length that converts one into the other.
 """
 
 import math
@@ -33,10 +33,9 @@ class TBlock(gymnasium.Env):
     `start` [2] and `end` [2] (m, world) of the pusher's centre and `mode` (0, push; this environment has no picks).
     There is no reward: planners judge particles themselves.
 
-    Source: paper, section IV (simulated planning); friction and limits are this project's.
+    Source: paper, section "Simulated Experiments" (pusher, asymmetric centre of mass); shape, friction and limits are
+    this project's.
     """
-
-    metadata = {"render_modes": []}
 
     def __init__(self, particles: int = 50):
         if particles < 4:
@@ -61,8 +60,8 @@ class TBlock(gymnasium.Env):
         """Run one stroke.
 
         The info holds what happened on the way at 5 Hz, first and last frame at the stroke's ends: `frames` [F, N, 3]
-        float32 (m), `times` [F] (s), `pusher` [F, 2] (m), `poses` [F, 3]; further `blocked` (the start lay on the block),
-        `start_used` [2] (then moved back along the stroke until it is free) and `grasped`, always false.
+        float32 (m), `times` [F] (s), `pusher` [F, 2] (m), `poses` [F, 3]; further `blocked` (the start lay on the
+        block), `start_used` [2] (m; then moved back along the stroke until it is free) and `grasped`, always false.
         """
         start, end = check_stroke(action)
         space, body = self._space(self._pose)
@@ -81,7 +80,7 @@ class TBlock(gymnasium.Env):
         return self.particles(), 0.0, False, False, info
 
     def particles(self, poses: np.ndarray | None = None) -> np.ndarray:
-        """Particles at poses [..., 3] (x, y in m, yaw in rad; the current one if not given), float32 [..., N, 3] (m)."""
+        """Particles at poses [..., 3] (x, y in m, yaw in rad; by default the current one), float32 [..., N, 3] (m)."""
         return place(self.body_particles, self._pose if poses is None else poses).astype(np.float32)
 
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
@@ -103,19 +102,20 @@ class TBlock(gymnasium.Env):
         3-14 cm, and the start 8 mm before first contact. Strokes that could carry the block out of reach are redrawn.
         """
         space, _ = self._space(self._pose)
+        outline = np.column_stack([self.block.outline, np.zeros(len(self.block.outline))])
         while True:
             heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*STROKE_LENGTHS)
             along = np.array([math.cos(heading), math.sin(heading)])
             if (np.abs(self._pose[:2] + along * (length - CLEARANCE)) > _CENTRE_LIMIT).any():
                 continue
             across = np.array([-along[1], along[0]])
-            silhouette = place(np.column_stack([self.block.outline, np.zeros(len(self.block.outline))]), self._pose)[:, :2] @ across
-            through = self._pose[:2] + across * (rng.uniform(silhouette.min(), silhouette.max()) - self._pose[:2] @ across)
-            start = _first_contact(space, through, along) - CLEARANCE * along
+            silhouette = place(outline, self._pose)[:, :2] @ across
+            offset = rng.uniform(silhouette.min(), silhouette.max()) - self._pose[:2] @ across
+            start = _first_contact(space, self._pose[:2] + offset * across, along) - CLEARANCE * along
             return {"start": start, "end": start + length * along, "mode": 0}
 
     def goal(self, rng: np.random.Generator) -> np.ndarray:
-        """Goal particles, float32 [N, 3] (m): the block moved by up to 20 cm along x and y and turned by up to 90 degrees.
+        """Goal particles, float32 [N, 3] (m): the block moved by up to 20 cm in x and in y, turned by up to 90 degrees.
 
         Goals that the table's reach does not allow are redrawn.
         """
@@ -140,12 +140,14 @@ class TBlock(gymnasium.Env):
 
     def _free_start(self, space: pymunk.Space, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         back = (start - end) / np.linalg.norm(start - end)
-        free = start.copy()
-        while (hit := space.point_query_nearest(tuple(free * _MM), PUSHER_RADIUS * _MM, pymunk.ShapeFilter())) is not None:
-            free += back * max((PUSHER_RADIUS * _MM - hit.distance) / _MM, 1e-3)
+        free, radius = start.copy(), PUSHER_RADIUS * _MM
+        while hit := space.point_query_nearest(tuple(free * _MM), radius, pymunk.ShapeFilter()):
+            free += back * max((radius - hit.distance) / _MM, 1e-3)
         return free
 
-    def _push(self, space: pymunk.Space, body: pymunk.Body, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _push(
+        self, space: pymunk.Space, body: pymunk.Body, start: np.ndarray, end: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Poses [F, 3] and pusher centres [F, 2] at 5 Hz of a straight push that takes a whole number of frames."""
         frames = stroke_frames(float(np.linalg.norm(end - start)))
         pusher = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
@@ -175,12 +177,16 @@ def check_stroke(action: dict) -> tuple[np.ndarray, np.ndarray]:
     if start.shape != (2,) or end.shape != (2,) or not np.isfinite([start, end]).all():
         raise UsageError(f"a stroke needs two finite planar points, got start {start}, end {end}")
     if np.linalg.norm(end - start) < 1e-3:
-        raise UsageError("the stroke is shorter than 1 mm and so has no heading", hint="move its end away from its start")
+        raise UsageError(
+            "the stroke is shorter than 1 mm and so has no heading", hint="move its end away from its start"
+        )
     return start, end
 
 
 def _first_contact(space: pymunk.Space, through: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Centre [2] (m) of the pusher where it first touches the block on the line `through` in direction `along`."""
-    far = through - 0.5 * along
-    hit = space.segment_query_first(tuple(far * _MM), tuple((through + 0.5 * along) * _MM), PUSHER_RADIUS * _MM, pymunk.ShapeFilter())
-    return far + hit.alpha * along
+    first, last = through - along, through + along
+    hit = space.segment_query_first(tuple(first * _MM), tuple(last * _MM), PUSHER_RADIUS * _MM, pymunk.ShapeFilter())
+    if hit is None:
+        raise ValueError("the line misses the block")
+    return first + hit.alpha * (last - first)

@@ -22,8 +22,8 @@ def world_map(depth: np.ndarray, camera: Camera) -> np.ndarray:
 @lru_cache(maxsize=16)
 def _world_rays(width: int, height: int, K: bytes, distortion: bytes, T_world_camera: bytes) -> np.ndarray:
     """Viewing rays [H, W, 3] in world directions, of length one along the optical axis."""
-    K, distortion, pose = (np.frombuffer(b) for b in (K, distortion, T_world_camera))
-    camera = Camera("", width, height, K.reshape(3, 3), distortion, pose.reshape(4, 4))
+    intrinsics, pose = np.frombuffer(K).reshape(3, 3), np.frombuffer(T_world_camera).reshape(4, 4)
+    camera = Camera("", width, height, intrinsics, np.frombuffer(distortion), pose)
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
     rays = camera.rays(pixels) @ camera.T_world_camera[:3, :3].T
     return rays.reshape(height, width, 3).astype(np.float32)

@@ -213,8 +213,8 @@ def _errors(x: np.ndarray, origins: np.ndarray, rays: np.ndarray, points: np.nda
     """Squared errors [F, C, N] in sigmas of x [F, N, 3] across and along every ray; infinite where unknown."""
     across = _across(x[:, None] - origins[:, None], rays)
     along = ((x[:, None] - points) * rays).sum(axis=-1)
-    squared = (across**2).sum(axis=-1) / RAY_SIGMA**2, along**2 / DEPTH_SIGMA**2
-    return tuple(np.where(np.isfinite(e), e, np.inf) for e in squared)
+    across, along = (across**2).sum(axis=-1) / RAY_SIGMA**2, along**2 / DEPTH_SIGMA**2
+    return np.where(np.isfinite(across), across, np.inf), np.where(np.isfinite(along), along, np.inf)
 
 
 def _intersection(origin_a: np.ndarray, rays_a: np.ndarray, origin_b: np.ndarray, rays_b: np.ndarray) -> np.ndarray:

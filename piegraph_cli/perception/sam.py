@@ -82,7 +82,8 @@ def automatic_prompt(mask: np.ndarray, points: int = 3) -> SamPrompt:
     import cv2
 
     rows, columns = np.nonzero(mask)
-    box = (columns.min() - BOX_MARGIN, rows.min() - BOX_MARGIN, columns.max() + BOX_MARGIN, rows.max() + BOX_MARGIN)
+    left, top = float(columns.min() - BOX_MARGIN), float(rows.min() - BOX_MARGIN)
+    box = (left, top, float(columns.max() + BOX_MARGIN), float(rows.max() + BOX_MARGIN))
     padded = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     depth_inside = cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1]
     grid = np.stack(np.meshgrid(np.arange(mask.shape[1]), np.arange(mask.shape[0])), axis=-1)
@@ -92,7 +93,7 @@ def automatic_prompt(mask: np.ndarray, points: int = 3) -> SamPrompt:
         row, column = np.unravel_index(np.argmax(np.minimum(depth_inside, apart / 4)), mask.shape)
         chosen.append((float(column), float(row)))
         apart = np.minimum(apart, np.linalg.norm(grid - [column, row], axis=-1))
-    return SamPrompt(tuple(dict.fromkeys(chosen)), tuple(float(b) for b in box))
+    return SamPrompt(tuple(dict.fromkeys(chosen)), box)
 
 
 def _hand_points(hand_px: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

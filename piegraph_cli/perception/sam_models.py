@@ -144,9 +144,8 @@ def _torchvision() -> Iterator[None]:
 def _stand_in() -> dict[str, types.ModuleType]:
     names = ("", ".ops", ".ops.boxes", ".transforms", ".transforms.functional")
     modules = {f"torchvision{name}": types.ModuleType(f"torchvision{name}") for name in names}
-    boxes, functional = modules["torchvision.ops.boxes"], modules["torchvision.transforms.functional"]
-    boxes.batched_nms, boxes.box_area = batched_nms, box_area
-    functional.resize, functional.to_pil_image = resize, to_pil_image
+    vars(modules["torchvision.ops.boxes"]).update(batched_nms=batched_nms, box_area=box_area)
+    vars(modules["torchvision.transforms.functional"]).update(resize=resize, to_pil_image=to_pil_image)
     return modules
 
 

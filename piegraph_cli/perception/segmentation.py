@@ -14,6 +14,18 @@ from piegraph_cli.recording.camera import Camera
 
 INTRUDER_SAMPLES = 10
 """Frames from which the colours of hand and sleeve are learnt."""
+ALIKE = 3.0
+"""Log-likelihood ratio to the table from which a colour counts as the object's own."""
+ON_HAND = 1.5
+"""Evidence against the object where the hand's landmarks say that the hand is."""
+SURE_OBJECT, SURE_OTHER, EXCLUDED = 4.0, -4.0, -8.0
+"""Evidence beyond which GrabCut may not decide otherwise; near the outline it may, short of exclusion."""
+AGREEMENT = 0.3
+"""Share of the rough mask that GrabCut must leave; below it the colours are too alike and the rough one stays."""
+FEWEST = 10
+"""Pixels of object and surroundings that GrabCut needs to learn their colours."""
+BAND = 5
+"""Width (px) of the outline within which GrabCut decides."""
 REACH = 0.05
 """Distance (m) from the last mask at which a pixel needs clear evidence to belong to the object."""
 LIFT = 0.06
@@ -30,8 +42,8 @@ class ObjectModel:
     """Log-likelihoods of `colour.lab_bins`."""
     height: float
     """Height (m) of the object's top above the table."""
-    mixtures: tuple[np.ndarray, np.ndarray] | None = None
-    """GrabCut's colour mixtures of background and object, carried from frame to frame."""
+    mixtures: np.ndarray | None = None
+    """[2, 1, 65] GrabCut's colour mixtures of background and object, carried from frame to frame."""
 
 
 def segment_sequence(
@@ -80,7 +92,7 @@ def learn_object(
     seed_frame: int,
     seed_mask: np.ndarray,
 ) -> ObjectModel:
-    """Learn the object's and the table's colours from the seed, those of hand and sleeve from frames spread over all."""
+    """Learn the colours of object and table from the seed, those of hand and sleeve from frames spread over all."""
     import cv2
 
     depth = depths[seed_frame]
@@ -91,22 +103,31 @@ def learn_object(
     heights = world_map(depth, camera)[..., 2][seed_mask]
     heights = heights[np.isfinite(heights)]
     top = float(np.percentile(heights, 90)) if len(heights) else 0.0
+    colours = colour_model(bins[core if core.any() else seed_mask])
+    surroundings = colour_model(bins[around])
+    alike = colours - surroundings > ALIKE
     return ObjectModel(
-        object=colour_model(bins[core if core.any() else seed_mask]),
-        surroundings=colour_model(bins[around]),
-        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, top + LIFT)),
+        object=colours,
+        surroundings=surroundings,
+        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, top + LIFT, alike)),
         height=top,
     )
 
 
 def _intruder_bins(
-    images: Sequence[np.ndarray], depths: Sequence[np.ndarray], camera: Camera, hand_px: np.ndarray, ceiling: float
+    images: Sequence[np.ndarray],
+    depths: Sequence[np.ndarray],
+    camera: Camera,
+    hand_px: np.ndarray,
+    ceiling: float,
+    alike: np.ndarray,
 ) -> np.ndarray:
-    """Colour bins [P] of what is on the hand's bones or rises above `ceiling` (m), from frames spread over the sequence."""
+    """Colour bins [P] of what rises above `ceiling` (m), and of the hand's bones except bins `alike` to the object."""
     samples = [np.zeros(0, np.int32)]
     for f in np.unique(np.linspace(0, len(hand_px) - 1, INTRUDER_SAMPLES).astype(int)):
         risen = (world_map(depths[f], camera)[..., 2] > ceiling) & ~flying_pixels(depths[f], camera, EDGE)
-        samples.append(lab_bins(images[f])[risen | hand_region(hand_px[f], depths[f], camera, 0.5)])
+        bins = lab_bins(images[f])
+        samples.append(bins[risen | (hand_region(hand_px[f], depths[f], camera, 0.5) & ~alike[bins])])
     return np.concatenate(samples)
 
 
@@ -146,10 +167,10 @@ def object_score(
     hand = hand_region(hand_px, depth, camera)
     score = (model.object[bins] - np.maximum(model.surroundings[bins], model.intruder[bins])).clip(-5, 5)
     score += _height_score(depth, camera, model.height, params)
-    score[hand] -= 3
+    score[hand] -= ON_HAND
     distance = cv2.distanceTransform((~previous).astype(np.uint8), cv2.DIST_L2, 3)
     score -= np.minimum(distance * (3 / _pixels(REACH, previous, depth, camera)), 6)
-    score = cv2.GaussianBlur(score.astype(np.float32), (5, 5), 0)
+    score = cv2.GaussianBlur(score.astype(np.float32), (3, 3), 0)
     score[~inside(locate(depth, camera), workspace)] = -10
     return score
 
@@ -202,14 +223,22 @@ def _grabcut(
         slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
     )
     labels = np.where(rough, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)[crop]
-    labels[rough[crop] & (score[crop] > 4)] = cv2.GC_FGD
-    labels[score[crop] < -2] = cv2.GC_BGD
-    first = model.mixtures is None
-    background, foreground = (np.zeros((1, 65)), np.zeros((1, 65))) if first else model.mixtures
-    steps, mode = (3, cv2.GC_INIT_WITH_MASK) if first else (1, cv2.GC_EVAL)
+    band = np.ones((BAND, BAND), np.uint8)
+    deep = cv2.erode(rough[crop].astype(np.uint8), band) > 0
+    away = cv2.dilate(rough[crop].astype(np.uint8), band) == 0
+    labels[deep & (score[crop] > SURE_OBJECT)] = cv2.GC_FGD
+    labels[(away & (score[crop] < SURE_OTHER)) | (score[crop] < EXCLUDED)] = cv2.GC_BGD
+    counts = np.bincount(labels.ravel() % 2, minlength=2)  # GrabCut's odd labels are the object
+    if counts.min() < FEWEST:
+        return rough
+    mixtures, steps, mode = np.zeros((2, 1, 65)), 3, cv2.GC_INIT_WITH_MASK
+    if model.mixtures is not None:
+        mixtures, steps, mode = model.mixtures.copy(), 1, cv2.GC_EVAL
     cv2.setRNGSeed(0)
-    cv2.grabCut(np.ascontiguousarray(image[crop]), labels, None, background, foreground, steps, mode)
-    model.mixtures = (background, foreground)
+    cv2.grabCut(np.ascontiguousarray(image[crop]), labels, (0, 0, 1, 1), mixtures[0], mixtures[1], steps, mode)
     refined = np.zeros_like(rough)
     refined[crop] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    if (refined & rough).sum() < AGREEMENT * rough.sum():
+        return rough
+    model.mixtures = mixtures
     return refined

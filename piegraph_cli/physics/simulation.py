@@ -21,7 +21,7 @@ from piegraph_cli.physics.springs import SpringGraph, stability_bound
 
 __all__ = ["GuidanceParams", "PushParams", "check_stability", "drive", "guide", "kabsch", "push", "rigid_projection"]
 
-CHUNK = 256  # candidates simulated together: their spring arrays still fit into the processor's cache
+CHUNK = 128  # candidates simulated together, so that the arrays of their springs stay in the cache
 CHECK_EVERY = 10  # iterations between two tests for convergence
 SHORTEST = 1e-6  # metres; below it a spring has no direction worth a force
 

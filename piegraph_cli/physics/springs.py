@@ -69,7 +69,8 @@ def _bridges(positions: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     if components == 1:
         return np.zeros((0, 2), np.int64)
     distance = cdist(positions, positions)
-    distance[label[:, None] == label[None]] = 1e-12  # all but free, yet an edge: SciPy reads 0 as "no edge"
+    inside = label[:, None] == label[None]
+    distance[inside] = 0.5 * distance[~inside].min()  # cheaper than any gap, yet an edge: SciPy drops lengths near 0
     first, second = minimum_spanning_tree(distance).nonzero()
     across = label[first] != label[second]
     return np.sort(np.stack([first[across], second[across]], axis=1).astype(np.int64), axis=1)

@@ -30,7 +30,7 @@ class CameraEntry(BaseModel):
     K: list[list[float]]
     distortion: list[float] = [0.0] * 5
     depth_scale: float = Field(0.001, gt=0)
-    T_world_camera: list[list[float]]
+    T_world_camera: list[list[float]] | None = None
 
 
 class CamerasFile(BaseModel):
@@ -57,8 +57,11 @@ def list_sequences(recording: Path) -> list[Path]:
     return sequences
 
 
-def read_cameras(sequence: Path) -> list[Camera]:
-    """Cameras of a sequence, sorted by name, from its own cameras.json or else its recording's."""
+def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
+    """Cameras of a sequence, sorted by name, from its own cameras.json or else its recording's.
+
+    Without `posed` a missing `T_world_camera` is the identity. Raises `DataError` naming file, camera and field.
+    """
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
     if path is None:
         raise DataError("cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`")
@@ -74,6 +77,9 @@ def read_cameras(sequence: Path) -> list[Camera]:
         raise DataError(
             f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}", str(path), "update piegraph"
         )
+    unposed = [name for name, entry in entries.cameras.items() if entry.T_world_camera is None]
+    if posed and unposed:
+        raise DataError("T_world_camera is missing", f"{path}, camera {unposed[0]}", "run `piegraph calibrate`")
     return [_camera(name, entry, path) for name, entry in sorted(entries.cameras.items())]
 
 
@@ -82,7 +88,7 @@ def _camera(name: str, entry: CameraEntry, path: Path) -> Camera:
     if Path(name).name != name or name.startswith("."):
         raise DataError("camera names must be plain folder names", where)
     try:
-        K, T = np.array(entry.K, float), np.array(entry.T_world_camera, float)
+        K, T = np.array(entry.K, float), np.array(entry.T_world_camera or np.eye(4), float)
     except ValueError:
         raise DataError("K and T_world_camera must be rectangular", where, "see docs/formats.md") from None
     if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
@@ -175,8 +181,8 @@ def _check_image(image: np.ndarray | None, path: Path, camera: Camera) -> np.nda
     return image
 
 
-def write_cameras(folder: Path, cameras: list[Camera]) -> None:
-    """Write cameras.json."""
+def cameras_text(cameras: list[Camera]) -> str:
+    """The text of a cameras.json."""
     entries = {
         c.name: CameraEntry(
             width=c.width,
@@ -188,9 +194,13 @@ def write_cameras(folder: Path, cameras: list[Camera]) -> None:
         )
         for c in cameras
     }
+    return json.dumps(CamerasFile(cameras=entries).model_dump(), indent=1) + "\n"
+
+
+def write_cameras(folder: Path, cameras: list[Camera]) -> None:
+    """Write cameras.json."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(CamerasFile(cameras=entries).model_dump(), indent=1)
-    (folder / "cameras.json").write_text(text + "\n")
+    (folder / "cameras.json").write_text(cameras_text(cameras))
 
 
 def write_frame(sequence: Path, camera: Camera, frame: int, color: np.ndarray, depth: np.ndarray, quality: int) -> None:

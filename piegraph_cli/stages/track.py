@@ -18,11 +18,9 @@ def run(inputs: dict[str, Artifact], params: TrackParams, context: Context) -> O
     torch.set_num_threads(1)
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])
-    grasp = source["contact"] if params.mode == "pick" else None
+    held = {"hand": source["end_effector"], "grasp": source["contact"]} if params.mode == "pick" else {}
     try:
-        tracked = track(
-            clouds, params, hand=source["end_effector"], grasp=grasp, progress=lambda c: context.progress(c, "track", len(clouds))
-        )
+        tracked = track(clouds, params, progress=lambda c: context.progress(c, "track", len(clouds)), **held)
     except DataError as error:
         raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None
     frames = len(clouds)

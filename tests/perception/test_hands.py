@@ -1,9 +1,14 @@
 """Merging hand landmarks over cameras and time, on landmarks and depth whose truth is known."""
 
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from piegraph_cli.errors import MissingError
+from piegraph_cli.perception import hands
 from piegraph_cli.perception.hands import (
     FLESH,
     detect_hands,
@@ -160,3 +165,34 @@ def test_a_broken_model_is_named(tmp_path):
     (tmp_path / "broken.task").write_bytes(b"not a model")
     with pytest.raises(MissingError, match=r"broken\.task"):
         detect_hands([np.zeros((64, 64, 3), np.uint8)], np.zeros(1), tmp_path / "broken.task")
+
+
+class FakeLandmarker:
+    """Stands in for MediaPipe's: answers the calls in turn with a hand at the image's centre, or with none."""
+
+    def __init__(self, answers):
+        self.answers, self.stamps = list(answers), []
+
+    def detect_for_video(self, image, stamp):
+        self.stamps.append(stamp)
+        if not self.answers.pop(0):
+            return SimpleNamespace(hand_landmarks=[], handedness=[])
+        points = [SimpleNamespace(x=0.5, y=0.25)] * 21
+        return SimpleNamespace(hand_landmarks=[points], handedness=[[SimpleNamespace(score=0.9)]])
+
+
+@pytest.fixture
+def landmarker(monkeypatch):
+    fake = FakeLandmarker([True, False, True, False, False])
+    monkeypatch.setattr(hands, "_hand_landmarker", lambda path: nullcontext(fake))
+    return fake
+
+
+def test_a_lost_hand_is_searched_for_again_in_the_same_frame(landmarker):
+    images = [np.zeros((40, 80, 3), np.uint8)] * 3
+    pixels, score = detect_hands(images, np.array([7.0, 7.2, 7.2005]), Path("model.task"))
+    np.testing.assert_allclose(pixels[:2], np.tile([39.5, 9.5], (2, 21, 1)))
+    assert np.isnan(pixels[2]).all()
+    assert score.tolist() == [0.9, 0.9, 0.0]
+    assert landmarker.stamps == sorted(set(landmarker.stamps))
+    assert landmarker.stamps[:2] == [0, 200]

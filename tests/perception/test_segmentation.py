@@ -83,6 +83,12 @@ def test_frames_without_depth_rely_on_colour(block):
     assert iou(block.segment(0, depths=depths), block.object[0])[3] > 0.9
 
 
+def test_a_block_of_the_tables_colour_is_followed_by_its_height(block):
+    images = [np.full_like(image, [150, 110, 75]) for image in block.images[0]]
+    masks = block.segment(0, images=images)
+    assert (iou(masks, block.object[0]) > 0.6).all()
+
+
 def test_a_hidden_object_leaves_an_empty_mask_and_is_found_again(block):
     images = [np.full_like(image, [150, 110, 75]) if f == 2 else image for f, image in enumerate(block.images[0])]
     depths = [np.zeros_like(depth) if f == 2 else depth for f, depth in enumerate(block.depths[0])]
@@ -119,6 +125,14 @@ def test_an_object_outside_the_workspace_is_not_taken(block):
     far = WORKSPACE + np.array([[1.0], [0.0], [0.0]])
     with pytest.raises(DataError, match="no object found"):
         find_object(block.images, block.depths, CAMERAS, block.hand_px, far, PARAMS)
+
+
+def test_a_seed_of_a_few_pixels_and_one_that_fills_the_image(block):
+    rows, columns = np.nonzero(block.object[0, 0])
+    speck = np.zeros((159, 212), bool)
+    speck[rows[100] : rows[100] + 2, columns[100] : columns[100] + 2] = True
+    assert block.segment(0, seed=speck).shape == (FRAMES, 159, 212)
+    assert block.segment(0, seed=np.ones((159, 212), bool)).shape == (FRAMES, 159, 212)
 
 
 def test_a_camera_without_seed_is_named(block):

@@ -1,0 +1,49 @@
+# piegraph: `make demo` and `make test` set up .venv and need nothing else; see README.md.
+PYTHON ?= python3
+JOBS ?= 2
+BIN := .venv/bin
+LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1
+export PYTHONUNBUFFERED := 1
+
+.PHONY: setup demo test smoke lint libraries clean
+
+setup: .venv/.ready
+
+.venv/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 10) <= v < (3, 13) else f"piegraph needs Python 3.10 to 3.12, this is {v[0]}.{v[1]}: make PYTHON=python3.12 ...")'
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { $(PYTHON) -m pip install --user virtualenv && $(PYTHON) -m virtualenv .venv; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[sim,dev]'
+	@$(BIN)/python -c 'import cv2, mediapipe, open3d' 2>/dev/null || $(MAKE) --no-print-directory libraries
+	$(BIN)/piegraph doctor --fetch hand-landmarker
+	@touch $@
+
+# the system libraries that open3d links; only where importing it fails
+libraries:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		apt-get update -qq && apt-get install -y -qq --no-install-recommends $(LIBRARIES); \
+	else \
+		echo "open3d needs system libraries: sudo apt-get install $(LIBRARIES)"; exit 1; \
+	fi
+	@$(BIN)/python -c 'import cv2, mediapipe, open3d'
+
+# the whole pipeline on sample_data/, then its pictures
+demo: setup
+	$(BIN)/piegraph run pipelines/demo.toml --run runs/demo --jobs $(JOBS)
+	$(BIN)/piegraph evaluate --run runs/demo
+	$(BIN)/piegraph report --run runs/demo
+
+test: setup
+	$(BIN)/python -m pytest
+
+# a few minutes: every stage on the sample with a short training, into a folder of its own
+smoke: setup
+	$(BIN)/piegraph run pipelines/demo.toml --run runs/smoke --jobs $(JOBS) --set train.steps=100 --set plan.strokes=2
+	$(BIN)/piegraph status --run runs/smoke
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf .venv runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,154 @@
+"""Plots, as matplotlib figures that no window ever shows: clouds, tracks, losses, errors, plans."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import hsv_to_rgb
+from matplotlib.figure import Figure
+
+GOAL, OBJECT, PREDICTED, TRUE = "#d62728", "#1f4e9c", "#2ca02c", "#ff9f1c"
+
+
+def particle_colors(positions: np.ndarray) -> np.ndarray:
+    """A colour [N, 3] in 0-1 per particle [N, 3], by its direction from the middle, so that rotation shows."""
+    offset = positions[:, :2] - positions[:, :2].mean(0)
+    hue = (np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi)) % 1
+    return hsv_to_rgb(np.stack([hue, np.full_like(hue, 0.85), np.full_like(hue, 0.95)], -1))
+
+
+def _top_view(axes: Axes, clouds: Sequence[np.ndarray], margin: float = 0.04) -> None:
+    points = np.concatenate([cloud[:, :2] for cloud in clouds])
+    middle, half = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0).max() / 2 + margin
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)
+
+
+def cloud_figure(clouds: Sequence[np.ndarray], times: Sequence[float], title: str) -> Figure:
+    """Fused clouds [P, 3] (m) of a few frames, from above and from the side, coloured by height."""
+    figure = Figure(figsize=(3.6 * len(clouds), 5.2), layout="constrained")
+    grid = figure.subplots(2, len(clouds), squeeze=False, height_ratios=[3, 1])
+    for column, (cloud, time) in enumerate(zip(clouds, times, strict=True)):
+        top, side = grid[:, column]
+        marks = top.scatter(cloud[:, 0], cloud[:, 1], c=cloud[:, 2] * 1000, s=2, cmap="viridis", vmin=0, vmax=50)
+        _top_view(top, [cloud])
+        top.set_title(f"t = {time:.1f} s, {len(cloud)} points", fontsize=9)
+        side.scatter(cloud[:, 0], cloud[:, 2], c=cloud[:, 2] * 1000, s=2, cmap="viridis", vmin=0, vmax=50)
+        side.axhline(0, color="0.5", lw=0.8)
+        side.set(xlim=top.get_xlim(), ylim=(-0.01, 0.08), xlabel="x [m]")
+        side.tick_params(labelsize=7)
+    grid[0, 0].set_ylabel("y [m]")
+    grid[1, 0].set_ylabel("z [m]")
+    figure.colorbar(marks, ax=grid, label="height [mm]", shrink=0.7)
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def track_figure(
+    positions: np.ndarray,
+    true: np.ndarray | None,
+    frames: Sequence[int],
+    time: np.ndarray,
+    hand: np.ndarray,
+    contact: np.ndarray,
+    title: str,
+) -> Figure:
+    """Tracked particles [F, N, 3] at some frames over the true ones (where known), and their mean error over time."""
+    figure = Figure(figsize=(3.4 * len(frames), 5.6), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=[2, 1])
+    colors = particle_colors(positions[0])
+    shown = [positions[list(frames)].reshape(-1, 3)]
+    for axes, frame in zip(upper.subplots(1, len(frames), squeeze=False)[0], frames, strict=True):
+        if true is not None:
+            axes.scatter(*true[frame, :, :2].T, s=42, facecolors="none", edgecolors="k", linewidths=0.8, label="true")
+        axes.scatter(*positions[frame, :, :2].T, c=colors, s=14, label="tracked")
+        axes.plot(*hand[: frame + 1][contact[: frame + 1]][:, :2].T, ".", color="0.6", ms=2)
+        _top_view(axes, shown)
+        axes.set_title(f"t = {time[frame]:.1f} s", fontsize=9)
+        axes.legend(fontsize=6, loc="upper right")
+    axes = lower.subplots()
+    if true is not None:
+        axes.plot(time, np.linalg.norm(positions - true, axis=-1).mean(-1) * 1000, color=OBJECT)
+        axes.set_ylabel("mean particle error [mm]")
+    else:
+        moved = np.linalg.norm(positions - positions[0], axis=-1).mean(-1)
+        axes.plot(time, moved * 1000, color=OBJECT)
+        axes.set_ylabel("mean motion [mm]")
+    axes.fill_between(time, 0, 1, where=contact, transform=axes.get_xaxis_transform(), color=GOAL, alpha=0.12, label="contact")
+    axes.set_xlabel("time [s]")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=7)
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def loss_figure(step: np.ndarray, train: np.ndarray, validation: np.ndarray) -> Figure:
+    """Training and validation loss over steps."""
+    figure = Figure(figsize=(5.5, 3.4), layout="constrained")
+    axes = figure.subplots()
+    axes.semilogy(step, train, color=OBJECT, label="training")
+    if np.isfinite(validation).any():
+        axes.semilogy(step, validation, color=GOAL, label="validation")
+    axes.set(xlabel="step", ylabel="loss [dm$^2$]", title="Training")
+    axes.legend(fontsize=8)
+    return figure
+
+
+def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
+    """PD, CD and S over the horizon for each model of `summarise`'s rows; bands are 95 % intervals."""
+    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
+    for axes, (metric, unit) in zip(figure.subplots(1, 3), (("pd", "cm"), ("cd", "cm"), ("s", "cm$^2$")), strict=True):
+        for model in dict.fromkeys(row["model"] for row in rows):
+            own = [row for row in rows if row["model"] == model]
+            horizons = [row["horizon"] for row in own]
+            mean, low, high = np.array([row[metric] for row in own]).T
+            axes.plot(horizons, mean, "o-", label=model, ms=4)
+            axes.fill_between(horizons, low, high, alpha=0.15)
+        axes.set(xlabel="strokes predicted", ylabel=f"{metric.upper()} [{unit}]", xticks=sorted({r["horizon"] for r in rows}))
+        axes.set_ylim(bottom=0)
+    axes.legend(fontsize=8)
+    figure.suptitle("Prediction on held-out sequences", fontsize=10)
+    return figure
+
+
+def plan_figure(steps: Sequence[dict[str, Any]], goal: np.ndarray, title: str) -> Figure:
+    """A strip of one episode: state, stroke, prediction and goal [G, 3] at each step, then the state reached."""
+    panels = len(steps) + 1
+    columns = min(panels, 6)
+    rows = -(-panels // columns)
+    figure = Figure(figsize=(2.6 * columns, 2.9 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False).reshape(-1)
+    last = steps[-1]["after"] if np.isfinite(steps[-1]["after"]).all() else steps[-1]["predicted"]
+    everything = [goal, last, *(s["before"] for s in steps)]
+    for k, axes in enumerate(grid):
+        if k >= panels:
+            axes.axis("off")
+            continue
+        state = steps[k]["before"] if k < len(steps) else last
+        axes.scatter(*goal[:, :2].T, s=16, color=GOAL, alpha=0.35, label="goal")
+        axes.scatter(*state[:, :2].T, s=9, color=OBJECT, label="object")
+        if k < len(steps):
+            (x0, y0), (x1, y1) = steps[k]["stroke"]
+            axes.scatter(*steps[k]["predicted"][:, :2].T, s=5, color=PREDICTED, label="predicted")
+            axes.annotate("", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "-|>", "color": "k", "lw": 1.5})
+        axes.set_title(f"stroke {k + 1}" if k < len(steps) else "reached" if last is steps[-1]["after"] else "predicted", fontsize=9)
+        _top_view(axes, everything)
+    grid[0].legend(fontsize=6)
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def score_figure(metrics: dict[str, np.ndarray]) -> Figure:
+    """Distributions of the scores against the truth."""
+    names = list(dict.fromkeys(metrics["score_name"].tolist()))
+    figure = Figure(figsize=(2.6 * len(names), 3.2), layout="constrained")
+    for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
+        values = metrics["score_value"][metrics["score_name"] == name]
+        axes.boxplot(values[np.isfinite(values)], widths=0.6, showfliers=False)
+        axes.set_title(name.decode(), fontsize=7, wrap=True)
+        axes.set_xticks([])
+        axes.tick_params(labelsize=7)
+    return figure

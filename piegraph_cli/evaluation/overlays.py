@@ -1,0 +1,70 @@
+"""Pictures made of camera images: masks, hand landmarks and particles drawn where the cameras see them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from piegraph_cli.recording.camera import Camera
+
+MASK_COLOR = (40, 220, 60)
+HAND_COLOR = (255, 210, 0)
+TIP_COLOR = (255, 40, 40)
+BONES = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (5, 9), (9, 10), (10, 11), (11, 12), (9, 13)]
+BONES += [(13, 14), (14, 15), (15, 16), (13, 17), (17, 18), (18, 19), (19, 20), (0, 17)]
+
+
+def draw_mask(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """An RGB image [H, W, 3] with a mask's area tinted and its outline drawn."""
+    import cv2
+
+    tinted = image.copy()
+    tinted[mask] = (0.65 * tinted[mask] + 0.35 * np.array(MASK_COLOR)).astype(np.uint8)
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return np.ascontiguousarray(cv2.drawContours(tinted, outlines, -1, MASK_COLOR, 1))
+
+
+def draw_hand(image: np.ndarray, landmarks: np.ndarray, detected: bool) -> np.ndarray:
+    """An RGB image with hand landmarks [21, 2] (px, NaN unknown); thin where only other cameras detected the hand."""
+    import cv2
+
+    if not np.isfinite(landmarks).all():
+        return image
+    points = [(round(float(x)), round(float(y))) for x, y in landmarks]
+    for a, b in BONES:
+        cv2.line(image, points[a], points[b], HAND_COLOR, 2 if detected else 1, cv2.LINE_AA)
+    for k, point in enumerate(points):
+        cv2.circle(image, point, 3 if detected else 2, TIP_COLOR if k in (8, 12) else HAND_COLOR, -1, cv2.LINE_AA)
+    return image
+
+
+def draw_particles(image: np.ndarray, positions: np.ndarray, camera: Camera, colors: np.ndarray) -> np.ndarray:
+    """An RGB image with particles [N, 3] (m, world) projected into it, in colours uint8 [N, 3]."""
+    import cv2
+
+    pixels, depth = camera.project(positions)
+    for (x, y), z, color in zip(pixels, depth, colors.tolist(), strict=True):
+        if z > 0 and 0 <= x < camera.width and 0 <= y < camera.height:
+            cv2.circle(image, (round(float(x)), round(float(y))), 3, (0, 0, 0), -1, cv2.LINE_AA)
+            cv2.circle(image, (round(float(x)), round(float(y))), 2, color, -1, cv2.LINE_AA)
+    return image
+
+
+def label(image: np.ndarray, text: str) -> np.ndarray:
+    """An RGB image with a line of text in its upper left corner."""
+    import cv2
+
+    for color, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+        cv2.putText(image, text, (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, width, cv2.LINE_AA)
+    return image
+
+
+def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
+    """Images of one size laid out in rows, white between them."""
+    height, width = rows[0][0].shape[:2]
+    columns = max(len(row) for row in rows)
+    sheet = np.full((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
+    for r, row in enumerate(rows):
+        for c, image in enumerate(row):
+            top, left = r * (height + gap), c * (width + gap)
+            sheet[top : top + image.shape[0], left : left + image.shape[1]] = image[:height, :width]
+    return sheet

@@ -1,0 +1,127 @@
+"""Invariance of the canonical action and equivariance of the network, for any scene, stroke, turn and shift."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from piegraph_cli.dynamics.action import canonical_action, check_strokes, make_strokes, stroke_rotation
+from piegraph_cli.dynamics.egnn import EGNN, nearest_neighbors
+from piegraph_cli.errors import DataError
+
+angles = st.floats(-math.pi, math.pi)
+shifts = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
+
+
+def scene(seed: int, batch: int = 2, particles: int = 20) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    positions = torch.rand(batch, particles, 3, generator=generator, dtype=torch.float64) * 0.3
+    ends = torch.rand(2, batch, 2, generator=generator, dtype=torch.float64) * 0.3
+    return positions, make_strokes(ends[0], ends[1], torch.tensor([0, 1]))
+
+
+def turn(angle: float, shift: tuple[float, float], positions: torch.Tensor, strokes: torch.Tensor):
+    cosine, sine = math.cos(angle), math.sin(angle)
+    rotation = torch.tensor([[cosine, -sine], [sine, cosine]], dtype=torch.float64)
+    offset = torch.tensor(shift, dtype=torch.float64)
+    moved = torch.cat([positions[..., :2] @ rotation.T + offset, positions[..., 2:]], -1)
+    ends = [strokes[:, k : k + 2] @ rotation.T + offset for k in (0, 2)]
+    return moved, torch.cat([*ends, strokes[:, 4:]], -1)
+
+
+def network(action_head: bool) -> EGNN:
+    torch.manual_seed(0)
+    net = EGNN(neighbors=6, hidden=16, layers=3, action_head=action_head).double()
+    for parameter in net.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    return net.eval()
+
+
+@given(st.integers(0, 100), angles, shifts)
+@settings(max_examples=40, deadline=None)
+def test_the_canonical_action_does_not_change_with_the_frame(seed, angle, shift):
+    positions, strokes = scene(seed)
+    before = canonical_action(positions, strokes)
+    after = canonical_action(*turn(angle, shift, positions, strokes))
+    torch.testing.assert_close(after, before, atol=1e-9, rtol=1e-7)
+
+
+def test_the_canonical_action_tells_where_the_stroke_began_and_its_mode():
+    positions, strokes = scene(0)
+    longer = strokes.clone()
+    longer[:, :2] -= longer[:, 2:4] - longer[:, :2]
+    assert not torch.allclose(canonical_action(positions, strokes), canonical_action(positions, longer))
+    other = strokes.clone()
+    other[:, 4] = 1 - other[:, 4]
+    assert not torch.allclose(canonical_action(positions, strokes), canonical_action(positions, other))
+
+
+def test_the_canonical_action_is_the_papers():
+    strokes = torch.tensor([[0.0, 0.0, 0.0, 2.0, 0.0]])
+    features = canonical_action(torch.tensor([[[0.0, 3.0, 0.5], [1.0, 2.0, 0.0]]]), strokes)[0]
+    torch.testing.assert_close(features[0], torch.tensor([1.0, 0.0, 0.5, 2.0, 0.0]))
+    torch.testing.assert_close(features[1], torch.tensor([0.0, -1.0, 0.0, 2.0, 0.0]))
+    torch.testing.assert_close(stroke_rotation(strokes)[0] @ torch.tensor([1.0, 0.0]), torch.tensor([0.0, 1.0]))
+
+
+@given(st.integers(0, 100), angles, shifts, st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_the_network_turns_and_moves_with_the_scene(seed, angle, shift, head):
+    positions, strokes = scene(seed)
+    net = network(head)
+    with torch.no_grad():
+        predicted, _ = turn(angle, shift, net(positions, strokes), strokes)
+        turned = net(*turn(angle, shift, positions, strokes))
+    torch.testing.assert_close(turned, predicted, atol=1e-8, rtol=1e-6)
+
+
+@given(st.integers(0, 100), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_the_order_of_particles_does_not_matter(seed, head):
+    positions, strokes = scene(seed)
+    order = torch.randperm(positions.shape[1], generator=torch.Generator().manual_seed(seed))
+    net = network(head)
+    with torch.no_grad():
+        torch.testing.assert_close(net(positions[:, order], strokes), net(positions, strokes)[:, order], atol=1e-9, rtol=1e-7)
+
+
+def test_reflection_is_no_symmetry():
+    positions, strokes = scene(3)
+    mirror = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+    mirrored = torch.cat([strokes[:, :2] * mirror[:2], strokes[:, 2:4] * mirror[:2], strokes[:, 4:]], -1)
+    with torch.no_grad():
+        assert not torch.allclose(network(True)(positions * mirror, mirrored), network(True)(positions, strokes) * mirror)
+
+
+def test_only_the_action_head_moves_a_straight_rope_sideways():
+    rope = torch.zeros(1, 20, 3, dtype=torch.float64)
+    rope[0, :, 0] = torch.linspace(0, 0.3, 20)
+    stroke = torch.tensor([[0.15, -0.05, 0.15, 0.05, 0.0]], dtype=torch.float64)
+    with torch.no_grad():
+        without, with_head = (network(head)(rope, stroke)[0, :, 1].abs().max() for head in (False, True))
+    assert without < 1e-12
+    assert with_head > 1e-3
+
+
+def test_the_batch_does_not_mix():
+    positions, strokes = scene(1, batch=2)
+    with torch.no_grad():
+        both = network(True)(positions, strokes)
+        alone = network(True)(positions[1:], strokes[1:])
+    torch.testing.assert_close(both[1:], alone)
+
+
+@pytest.mark.parametrize("end", [[0.1, 0.2], [0.1, 0.2005], [float("nan"), 0.0]])
+def test_a_stroke_without_heading_is_refused(end):
+    strokes = make_strokes(torch.tensor([[0.0, 0.0], [0.1, 0.2]]), torch.tensor([[1.0, 1.0], end]), torch.zeros(2))
+    with pytest.raises(DataError, match="no heading") as caught:
+        check_strokes(strokes)
+    assert caught.value.where == "stroke 1"
+
+
+def test_neighbors_are_the_nearest_others():
+    positions = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [7, 0, 0]]])
+    assert nearest_neighbors(positions, 2)[0].tolist() == [[1, 2], [0, 2], [1, 0], [2, 1]]
+    assert nearest_neighbors(positions, 12).shape == (1, 4, 3)

@@ -1,0 +1,95 @@
+"""Training: it learns, it repeats itself bit for bit, it goes on from stored arrays, and it chooses weights as it says."""
+
+import numpy as np
+import pytest
+import torch
+
+from piegraph_cli.dynamics.losses import dynamics_loss
+from piegraph_cli.dynamics.training import Pairs, Trainer
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import TrainParams
+
+PARAMS = TrainParams(hidden=8, layers=2, steps=30)
+
+
+def pairs(count: int = 40, seed: int = 0) -> Pairs:
+    """Objects that are carried along by the whole stroke."""
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(0, 0.2, (count, 16, 3))
+    begin = rng.uniform(0, 0.2, (count, 2))
+    angle, length = rng.uniform(-np.pi, np.pi, count), rng.uniform(0.03, 0.14, count)
+    motion = np.stack([np.cos(angle), np.sin(angle)], 1) * length[:, None]
+    end = start + np.pad(motion, ((0, 0), (0, 1)))[:, None]
+    strokes = np.concatenate([begin, begin + motion, np.zeros((count, 1))], 1)
+    return Pairs(start, end, strokes, neighbors=PARAMS.neighbors)
+
+
+def trained(steps: int, trainer: Trainer | None = None, params: TrainParams = PARAMS) -> Trainer:
+    trainer = trainer or Trainer(pairs(), pairs(seed=1), params)
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def test_it_learns():
+    params = TrainParams(hidden=16, layers=2, steps=300)
+    trainer = Trainer(pairs(), pairs(seed=1), params)
+    first = trainer.record()[2]
+    trained(300, trainer)
+    assert trainer.record()[2] < 0.1 * first
+
+
+def test_one_seed_one_result_and_another_seed_another():
+    first, second = (trained(10).network.state_dict() for _ in range(2))
+    other = trained(10, params=TrainParams(hidden=8, layers=2, steps=30, seed=1)).network.state_dict()
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert not all(torch.equal(first[name], other[name]) for name in first)
+
+
+def test_stored_and_taken_up_again_it_ends_in_the_same_bits():
+    whole = trained(20)
+    whole.record()
+    half = trained(12)
+    resumed = Trainer(pairs(), pairs(seed=1), PARAMS)
+    resumed.load(half.state())
+    trained(8, resumed).record()
+    assert resumed.history == whole.history
+    for name, value in whole.network.state_dict().items():
+        assert torch.equal(value, resumed.network.state_dict()[name])
+
+
+def test_the_best_weights_on_validation_are_kept():
+    trainer = trained(5)
+    trainer.record()
+    best = {name: value.clone() for name, value in trainer.best.items()}
+    with torch.no_grad():
+        trainer.network.head[-1].bias += 100.0
+    trainer.record()
+    assert all(torch.equal(trainer.best[name], best[name]) for name in best)
+
+
+def test_without_validation_the_last_weights_are_kept():
+    trainer = Trainer(pairs(), None, PARAMS)
+    trained(3, trainer).record()
+    trained(3, trainer).record()
+    assert all(torch.equal(trainer.best[n], v) for n, v in trainer.network.state_dict().items())
+
+
+def test_divergence_and_emptiness_are_errors():
+    with pytest.raises(DataError, match="diverged"):
+        broken = pairs()
+        broken.end *= torch.nan
+        Trainer(broken, None, PARAMS).step()
+    empty = pairs(1)
+    empty.start = empty.start[:0]
+    with pytest.raises(DataError, match="no training pairs"):
+        Trainer(empty, None, PARAMS)
+
+
+def test_the_loss_is_mean_square_plus_shape():
+    target = torch.zeros(1, 3, 3)
+    neighbors = torch.tensor([[[1], [0], [1]]])
+    assert dynamics_loss(target + 0.1, target, neighbors, 0.5).item() == pytest.approx(3.0)
+    moved = target.clone()
+    moved[0, 0, 0] = 0.1
+    assert dynamics_loss(moved, target, neighbors, 0.5).item() == pytest.approx((1 + 0.5 * 2) / 3)

@@ -1,0 +1,71 @@
+"""Metrics against values worked out by hand, intervals, and scores against a known truth."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
+from piegraph_cli.evaluation.statistics import bootstrap_mean
+from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance
+
+LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
+
+
+def test_distances_in_centimetres():
+    moved = LINE + [0, 0.03, 0.04]
+    assert particle_distance(moved, LINE) == pytest.approx(5)
+    assert chamfer_distance(moved, LINE) == pytest.approx(10)
+    assert chamfer_distance(LINE[::-1], LINE) == pytest.approx(0)
+    assert particle_distance(LINE[::-1], LINE) == pytest.approx(40 / 3)
+
+
+def test_shape_error_ignores_translation_and_sees_stretch():
+    edges = np.array([[0, 1], [1, 2]])
+    assert shape_error(LINE + 0.5, LINE, edges) == pytest.approx(0)
+    stretched = LINE.copy()
+    stretched[2, 0] += 0.02
+    assert shape_error(stretched, LINE, edges) == pytest.approx((0 + 4) / 2)
+
+
+def test_the_bootstrap_interval_holds_the_mean_and_narrows():
+    values = np.random.default_rng(0).normal(3, 1, 400)
+    mean, low, high = bootstrap_mean(values)
+    assert low < mean < high
+    assert high - low == pytest.approx(4 * 1 / 20, rel=0.2)
+    assert np.isnan(bootstrap_mean(np.array([]))).all()
+
+
+BOX = np.array([[x, y, z] for x in (0, 0.2) for y in (0, 0.1) for z in (0, 0.05)], float)
+FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)
+
+
+def test_material_points_move_rigidly_with_a_rigid_mesh():
+    rng = np.random.default_rng(0)
+    points = rng.uniform([0, 0, 0.045], [0.2, 0.1, 0.055], (30, 3))
+    poses = [(Rotation.from_euler("z", a).as_matrix(), np.array([a, -a, 0])) for a in (0.0, 0.4, 2.0)]
+    vertices = np.stack([BOX @ R.T + t for R, t in poses])
+    carried = carry_with_mesh(points, vertices, FACES, 0)
+    for frame, (R, t) in enumerate(poses):
+        np.testing.assert_allclose(carried[frame], points @ R.T + t, atol=1e-6)
+
+
+def test_surface_distance_and_iou():
+    points = np.array([[0.1, 0.05, 0.06], [0.1, 0.05, 0.05], [0.25, 0.05, 0.02]])
+    np.testing.assert_allclose(surface_distance(points, BOX, FACES), [0.01, 0, 0.05], atol=1e-6)
+    mask = np.zeros((4, 4), bool)
+    mask[:2] = True
+    other = np.zeros((4, 4), bool)
+    other[1:3] = True
+    assert mask_iou(mask, other) == pytest.approx(1 / 3)
+    assert mask_iou(mask & False, other & False) == 1
+
+
+def test_hand_scores_count_only_frames_with_a_hand():
+    true = np.array([[0.0, 0, 0], [0.1, 0, 0], [np.nan] * 3])
+    found = np.array([[0.003, 0.004, 9], [np.nan] * 3, [5.0, 5, 5]])
+    seen = np.array([[True, False], [False, False], [True, True]])
+    scores = hand_scores(seen, found, true)
+    assert scores["frames with the hand found"].tolist() == [1, 0]
+    np.testing.assert_allclose(scores["end-effector error [mm]"], [5])

@@ -1,0 +1,96 @@
+"""SIGKILL while a stage writes, then the same command: everything ends as in a run that nobody stopped."""
+
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import piegraph
+
+from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.artifact import read_artifact
+
+KILLER = Path(__file__).parent / "killer.py"
+
+
+def killed(after: int, *arguments: object) -> None:
+    done = subprocess.run([sys.executable, KILLER, str(after), *map(str, arguments)], capture_output=True, timeout=300)
+    assert done.returncode == -signal.SIGKILL, done.stderr.decode()
+
+
+def assert_equal_runs(found: Path, expected: Path) -> None:
+    for path in sorted(expected.rglob("*.h5")):
+        name = path.parent.name if path.parent != expected else path.stem
+        first, second = read_artifact(path, name), read_artifact(found / path.relative_to(expected), name)
+        assert first.key == second.key, path
+        for dataset in set(first.arrays) - {"seconds"}:
+            np.testing.assert_array_equal(first[dataset], second[dataset], err_msg=f"{path} {dataset}")
+    assert not list(found.rglob("*.tmp"))
+
+
+def forget(folder: Path, artifact: str) -> None:
+    shutil.rmtree(folder / artifact, ignore_errors=True)
+    (folder / f"{artifact}.h5").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("stage", ["simulate", "dataset", "evaluate", "plan"])
+def test_simulated_stage(tiny_run, tmp_path, stage):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    forget(folder, STAGES[stage].writes)
+    killed(3, "run", "--run", folder)
+    piegraph("run", "--run", folder)
+    assert_equal_runs(folder, tiny_run)
+
+
+@pytest.mark.parametrize("stage", ["ingest", "hands", "segment", "fuse", "track"])
+def test_recorded_stage(sample_run, tmp_path, stage):
+    folder = tmp_path / "run"
+    shutil.copytree(sample_run, folder)
+    sequence = sorted((folder / STAGES[stage].writes).iterdir())[-1]
+    sequence.unlink()
+    killed(3, "run", "--run", folder, "--until", stage)
+    assert not sequence.exists()
+    piegraph("run", "--run", folder, "--until", stage)
+    assert_equal_runs(folder, sample_run)
+
+
+@pytest.mark.parametrize("after", [5, 100])
+def test_training_goes_on_from_its_checkpoint(tiny_run, tmp_path, after):
+    """Killed in the first checkpoint, and in a later one: then the earlier one is whole and is taken up."""
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    forget(folder, "model")
+    killed(after, "train", "--run", folder)
+    assert (folder / "checkpoints" / "train.h5").exists() == (after == 100)
+    piegraph("train", "--run", folder)
+    assert_equal_runs(folder, tiny_run)
+    assert not (folder / "checkpoints" / "train.h5").exists()
+
+
+def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from piegraph_cli.app import main; main()", "train", "--run", folder, "--steps", "1000000"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    log = folder / "run.log"
+    size = log.stat().st_size
+    for _ in range(600):
+        if (folder / "checkpoints" / "train.h5").exists():
+            break
+        try:
+            process.wait(0.1)
+        except subprocess.TimeoutExpired:
+            continue
+        break
+    assert log.stat().st_size > size
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "goes on from here" in stderr

@@ -1,0 +1,123 @@
+"""Artifacts: round trip, atomic write, and what a reader refuses."""
+
+import h5py
+import numpy as np
+import pytest
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_key, write_artifact
+from piegraph_cli.workspace.schema import SCHEMA_VERSION
+
+
+def tracks(frames: int = 3, particles: int = 4) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {
+        "positions": rng.normal(size=(frames, particles, 3)).astype(np.float32),
+        "residual": np.zeros(frames, np.float32),
+        "visibility": np.ones((frames, particles), np.float32),
+        "mode": np.zeros(frames, np.uint8),
+        "end_effector": np.full((frames, 3), np.nan, np.float32),
+        "contact": np.zeros(frames, bool),
+        "time": np.arange(frames, dtype=float),
+    }
+
+
+def write(path, arrays, key="k"):
+    write_artifact(path, "tracks", arrays, stage="track", stage_version=1, key=key, params={"a": 1}, inputs={}, quality="q")
+
+
+@pytest.fixture
+def stored(tmp_path):
+    path = tmp_path / "with space" / "s.h5"
+    write(path, tracks())
+    return path
+
+
+def test_round_trip_keeps_values_types_and_attributes(stored):
+    artifact = read_artifact(stored, "tracks")
+    for name, value in tracks().items():
+        np.testing.assert_array_equal(artifact[name], value)
+        assert artifact[name].dtype == value.dtype
+    assert (artifact.key, artifact.params, artifact.quality) == ("k", {"a": 1}, "q")
+    with h5py.File(stored) as file:
+        assert file["positions"].attrs["units"] == "m"
+        assert file["positions"].attrs["axes"] == "frame,particle,xyz"
+        assert file["positions"].compression == "gzip"
+        assert file["positions"].fletcher32
+
+
+def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(stored):
+    before = stored.read_bytes()
+    with pytest.raises(DataError, match="not finite"):
+        write(stored, tracks() | {"positions": np.full((3, 4, 3), np.nan)}, key="new")
+    with pytest.raises(RuntimeError), atomic_file(stored) as temporary:
+        temporary.write_bytes(b"half")
+        raise RuntimeError
+    assert stored.read_bytes() == before
+    assert [p.name for p in stored.parent.iterdir()] == [stored.name]
+
+
+def test_a_full_disk_is_named_and_keeps_the_old_file(stored):
+    before = stored.read_bytes()
+    with pytest.raises(DataError, match="No space left"), atomic_file(stored) as temporary:
+        temporary.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+    assert stored.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.__delitem__("contact"), "dataset contact is missing"),
+        (lambda f: f.create_dataset("other", data=[1]), "not a dataset"),
+        (lambda f: f["positions"].__setitem__((0, 1, 2), np.inf), r"positions.*not finite at index \(0, 1, 2\)"),
+        (lambda f: f.attrs.__setitem__("schema_version", SCHEMA_VERSION + 1), "newer than this piegraph"),
+        (lambda f: f.attrs.__delitem__("key"), "not an artifact of this version"),
+        (lambda f: f.attrs.__setitem__("artifact", "masks"), "holds masks, expected tracks"),
+        (lambda f: f.attrs.__setitem__("params", "{"), "params or inputs attribute is damaged"),
+    ],
+)
+def test_a_reader_names_file_and_dataset(stored, change, message):
+    with h5py.File(stored, "a") as file:
+        change(file)
+    with pytest.raises(DataError, match=message) as caught:
+        read_artifact(stored, "tracks")
+    assert str(stored) in str(caught.value)
+    assert caught.value.hint
+
+
+def test_unequal_axes_are_refused(tmp_path):
+    with pytest.raises(DataError, match="axis frame has length 4, expected 3"):
+        write(tmp_path / "a.h5", tracks() | {"time": np.zeros(4)})
+
+
+@pytest.mark.parametrize("keep", [0, 100, 2000, -200])
+def test_a_truncated_file_is_refused_and_made_again(stored, keep):
+    stored.write_bytes(stored.read_bytes()[:keep])
+    with pytest.raises(DataError):
+        read_artifact(stored, "tracks")
+
+
+def test_flipped_bytes_in_data_are_noticed(stored):
+    with h5py.File(stored) as file:
+        start = file["positions"].id.get_chunk_info(0).byte_offset
+    data = bytearray(stored.read_bytes())
+    data[start + 20] ^= 0xFF
+    stored.write_bytes(bytes(data))
+    with pytest.raises(DataError, match="dataset positions is damaged"):
+        read_artifact(stored, "tracks")
+
+
+def test_key_of_a_missing_or_broken_file_is_none(stored):
+    assert read_key(stored, "tracks") == "k"
+    assert read_key(stored.with_name("none.h5"), "tracks") is None
+    stored.write_bytes(b"no hdf5")
+    assert read_key(stored, "tracks") is None
+
+
+def test_objects_are_refused(stored):
+    with h5py.File(stored, "a") as file:
+        del file["contact"]
+        file.create_dataset("contact", data=["text", "of", "any length"], dtype=h5py.string_dtype())
+    with pytest.raises(DataError, match="type that is not allowed"):
+        read_artifact(stored, "tracks")

@@ -1,0 +1,139 @@
+"""Keys, states and failures of a run; locks between processes."""
+
+import shutil
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.artifact import read_artifact
+from piegraph_cli.workspace.execute import Options, run_stage, run_unit, status
+from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting, shipped
+from piegraph_cli.workspace.run import Run, content_hash
+
+
+def run_of(folder, **sections) -> Run:
+    return Run(folder, Recipe(sections))
+
+
+def test_a_key_changes_with_setting_version_and_input_and_with_nothing_else(tmp_path, monkeypatch):
+    base = {"simulate": {"sequences": 3}, "dataset": {"train": 1}}
+    key = run_of(tmp_path, **base).key(STAGES["train"], None)
+    assert run_of(tmp_path / "elsewhere", **base).key(STAGES["train"], None) == key
+    assert run_of(tmp_path, **base, evaluate={"horizons": [1]}).key(STAGES["train"], None) == key
+    assert run_of(tmp_path, **base, train={"seed": 1}).key(STAGES["train"], None) != key
+    assert run_of(tmp_path, **(base | {"simulate": {"sequences": 3, "seed": 1}})).key(STAGES["train"], None) != key
+    import dataclasses
+
+    monkeypatch.setitem(STAGES, "dataset", dataclasses.replace(STAGES["dataset"], version=99))
+    assert run_of(tmp_path, **base).key(STAGES["train"], None) != key
+
+
+def test_a_recording_is_known_by_its_content(tmp_path):
+    first, second = tmp_path / "a" / "seq", tmp_path / "b" / "seq"
+    for folder in (first, second):
+        folder.mkdir(parents=True)
+        (folder / "0.png").write_bytes(b"x")
+        (folder.parent / "cameras.json").write_text("{}")
+    assert content_hash(first, "recording") == content_hash(second, "recording")
+    (second / "0.png").write_bytes(b"y")
+    assert content_hash(first, "recording") != content_hash(second, "recording")
+    (second / "0.png").write_bytes(b"x")
+    (second.parent / "cameras.json").write_text("{ }")
+    assert content_hash(first, "recording") != content_hash(second, "recording")
+    with pytest.raises(DataError, match="setting recording"):
+        content_hash(tmp_path / "none", "recording")
+
+
+def test_a_changed_setting_makes_only_what_depends_on_it_stale(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    assert {row["state"] for row in status(folder)} == {"fresh"}
+    run = Run.open(folder)
+    run.recipe = run.recipe.with_values(STAGES["train"], {"seed": 5}, "test")
+    run.save_recipe()
+    states = {row["stage"]: row["state"] for row in status(folder)}
+    assert states == dict.fromkeys(("simulate", "dataset"), "fresh") | dict.fromkeys(("train", "evaluate", "plan"), "stale")
+
+
+def test_stale_inputs_are_not_used(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    (folder / "model.h5").write_bytes(b"cut off")
+    outcome = run_stage(folder, STAGES["evaluate"], Options(force=True))[0]
+    assert outcome.error is not None
+    assert "model is stale" in str(outcome.error)
+    assert "--until train" in outcome.error.hint
+
+
+def test_a_second_process_waits_and_then_finds_it_done(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    dataset = folder / "dataset.h5"
+    dataset.rename(tmp_path / "kept.h5")
+    outcomes = []
+    with Run.open(folder).lock("dataset"):
+        thread = threading.Thread(target=lambda: outcomes.append(run_unit(folder, "dataset", None, Options(), 1)))
+        thread.start()
+        time.sleep(0.5)
+        assert not outcomes
+        (tmp_path / "kept.h5").rename(dataset)
+    thread.join(60)
+    assert outcomes[0].state == "cached"
+
+
+def test_runs_with_the_same_seed_are_equal(tiny_recipe, tiny_run, tmp_path):
+    from conftest import piegraph
+
+    again = tmp_path / "again"
+    piegraph("run", tiny_recipe, "--run", again, "--jobs", 2)
+    for path in tiny_run.rglob("*.h5"):
+        name = path.parent.name if path.parent != tiny_run else path.stem
+        first, second = read_artifact(path, name), read_artifact(again / path.relative_to(tiny_run), name)
+        assert first.key == second.key
+        for dataset in set(first.arrays) - {"seconds"}:
+            np.testing.assert_array_equal(first[dataset], second[dataset], err_msg=f"{name} {dataset}")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[trian]\nsteps = 1", r"unknown section \[trian\]"),
+        ("[train]\nstep = 1", "train.step: unknown setting"),
+        ("[train]\nsteps = 0", "train.steps: Input should be greater"),
+        ("[train]\nsteps = nan", "train.steps"),
+        ("[train\n", "not a readable TOML file"),
+    ],
+)
+def test_a_wrong_recipe_is_refused_by_name(tmp_path, text, message):
+    path = tmp_path / "r.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=message) as caught:
+        load_recipe(path)
+    assert str(path) in str(caught.value)
+
+
+def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
+    (tmp_path / "rec").mkdir()
+    path = tmp_path / "r.toml"
+    path.write_text('[ingest]\nrecording = "rec"\n[plan]\ngoal = "rec/goal.ply:3"\n')
+    recipe = load_recipe(path)
+    assert recipe.params(STAGES["ingest"]).recording == tmp_path / "rec"
+    assert recipe.params(STAGES["plan"]).goal == f"{tmp_path}/rec/goal.ply:3"
+
+
+def test_settings_from_the_command_line():
+    stage, setting, value = parse_setting("track.damping=0.7")
+    assert (stage.name, setting, value) == ("track", "damping", 0.7)
+    assert parse_setting("evaluate.models=static,piegraph")[2] == "static,piegraph"
+    with pytest.raises(UsageError):
+        parse_setting("damping=0.7")
+
+
+def test_shipped_recipes_load():
+    assert {"tblock", "demo"} <= set(shipped())
+    for name in shipped():
+        assert load_recipe(find_recipe(name)).chain()

@@ -98,7 +98,7 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
 
         given = {name: value for name, value in values.items() if value is not None}
         opened = Run.open(run)
-        opened.recipe = opened.recipe.with_values(stage, given, f"piegraph {stage.name}")
+        opened.recipe = opened.recipe.with_values(stage, given, f"piegraph {stage.name}", Path.cwd())
         with _logging_to(run):
             opened.save_recipe()
             outcomes = run_stage(run, stage, Options(force, jobs, backend, device))  # type: ignore[arg-type]
@@ -180,7 +180,7 @@ def run(
         opened.recipe = load_recipe(find_recipe(recipe))
     for text in set or []:
         stage, setting, value = parse_setting(text)
-        opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}")
+        opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}", Path.cwd())
     with _logging_to(folder):
         opened.save_recipe()
         outcomes = run_chain(folder, until, Options(force, jobs, backend, device))
@@ -220,7 +220,7 @@ def simulate(
 
     stage = STAGES["simulate"]
     values = {"environment": environment, "sequences": sequences, "strokes": strokes, "seed": seed, "particles": particles}
-    recipe = Run(out, Run.open(out).recipe).recipe.with_values(stage, values, "piegraph simulate")
+    recipe = Run.open(out).recipe.with_values(stage, values, "piegraph simulate", Path.cwd())
     if render:
         made = record_sequences(out, recipe.params(stage), jobs=jobs, force=force)
         _emit(_Report({"recording": str(out), "sequences": made}, [f"{out}: {len(made)} sequences"]), as_json)

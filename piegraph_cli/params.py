@@ -4,7 +4,7 @@ Nothing heavy is imported here, so that `piegraph --help` answers at once. The c
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -25,6 +25,9 @@ class Params(BaseModel):
     """Base of all settings: frozen, unknown keys refused, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    exclusive: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Pairs of which giving one forgets the other."""
 
     def files(self) -> dict[str, Path]:
         """Files and folders these settings name; their content, not their path, enters the cache key."""
@@ -154,6 +157,8 @@ class EvaluateParams(GuidanceSettings):
 
 class PlanParams(GuidanceSettings):
     """Settings of `plan`."""
+
+    exclusive = (("env", "state"), ("goal", "goal_pose"))
 
     env: str | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")

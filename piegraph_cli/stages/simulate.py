@@ -18,12 +18,13 @@ JPEG_QUALITY = 90
 
 def run(inputs: dict[str, Any], params: SimulateParams, context: Context) -> Output:
     """Simulate one sequence."""
-    from piegraph_cli.environments import make
-    from piegraph_cli.environments.recording import simulate_tracks
+    from piegraph_cli.environments import import_extra, make
 
     assert context.sequence is not None
     index = int(context.sequence.rsplit("_", 1)[1])
-    tracks = simulate_tracks(make(params.environment, particles=params.particles), sequence_seed(params, index), params.strokes)
+    environment = make(params.environment, particles=params.particles)
+    recording = import_extra("piegraph_cli.environments.recording")
+    tracks = recording.simulate_tracks(environment, sequence_seed(params, index), params.strokes)
     frames, particles = tracks["positions"].shape[:2]
     arrays = {name: tracks[name] for name in ("positions", "time", "end_effector", "contact")}
     arrays |= {

@@ -32,10 +32,16 @@ class Recipe:
         """The validated settings of a stage."""
         return _validate(stage, self.sections.get(stage.name, {}), "recipe")
 
-    def with_values(self, stage: Stage, values: Mapping[str, Any], where: str) -> "Recipe":
-        """This recipe with some settings of a stage replaced; raises `UsageError` for unknown or wrong ones."""
-        section = self.sections.get(stage.name, {}) | dict(values)
-        _validate(stage, section, where)
+    def with_values(self, stage: Stage, values: Mapping[str, Any], where: str, base: Path) -> "Recipe":
+        """This recipe with some settings of a stage replaced; relative paths among them are taken from `base`.
+
+        Raises `UsageError` for unknown or wrong ones.
+        """
+        replaced = {b for pair in stage.params.exclusive for a, b in (pair, pair[::-1]) if a in values and b not in values}
+        section = {k: v for k, v in self.sections.get(stage.name, {}).items() if k not in replaced} | dict(values)
+        for name, file in _validate(stage, section, where).files().items():
+            if name in values:
+                section[name] = str((base / file).resolve()) + str(values[name])[len(str(file)) :]
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:
@@ -65,11 +71,7 @@ def load_recipe(path: Path) -> Recipe:
     for name, section in sections.items():
         if name not in STAGES or not isinstance(section, dict):
             raise UsageError(f"unknown section [{name}]", str(path), f"sections are the stages: {', '.join(STAGES)}")
-        stage = STAGES[name]
-        recipe = recipe.with_values(stage, section, str(path))
-        for setting, file in recipe.params(stage).files().items():
-            absolute = str((path.parent / file).resolve()) + str(section[setting])[len(str(file)) :]
-            recipe = recipe.with_values(stage, {setting: absolute}, str(path))
+        recipe = recipe.with_values(STAGES[name], section, str(path), path.parent)
     return recipe
 
 

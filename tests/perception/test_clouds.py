@@ -63,6 +63,13 @@ def test_pixels_beside_a_step_are_flying_and_holes_are_no_step():
     assert not flying[:, 11:].any()
 
 
+def test_pixels_beside_a_step_are_not_back_projected():
+    camera = ring_camera(0.4)
+    depth = np.full((159, 212), 500, np.uint16)
+    depth[:, 100:] = 600
+    assert len(back_project(np.ones((159, 212), bool), depth, camera)) == 159 * 210
+
+
 def test_the_fused_cloud_lies_on_the_surface_and_covers_it(views):
     cloud = fuse([v.object for v in views], [v.depth for v in views], CAMERAS, WORKSPACE)
     assert cloud.dtype == np.float32

@@ -73,19 +73,35 @@ def test_a_camera_that_is_wrong_is_outvoted():
     np.testing.assert_allclose(track.keypoints, HANDS, atol=3e-3)
 
 
-def test_depth_on_the_table_is_not_believed():
-    true = skin_depth(HANDS)
+@pytest.mark.parametrize("reading", ["table", "something in front"])
+def test_depth_that_cannot_be_the_finger_is_not_believed(reading):
+    camera, true = CAMERAS[1], skin_depth(HANDS)
 
-    def table(frame: int, c: int) -> np.ndarray:
-        image = true(frame, c)
-        column, row = np.round(CAMERAS[c].project(HANDS[frame])[0][8]).astype(int)
-        rays = CAMERAS[c].rays([[column, row]]) @ CAMERAS[c].T_world_camera[:3, :3].T
-        image[row - 3 : row + 4, column - 3 : column + 4] = round(-1000 * CAMERAS[c].T_world_camera[2, 3] / rays[0, 2])
+    def wrong(frame: int, _: int) -> np.ndarray:
+        image = true(frame, 1)
+        column, row = np.round(camera.project(HANDS[frame])[0][8]).astype(int)
+        ray = camera.rays([[column, row]])[0] @ camera.T_world_camera[:3, :3].T
+        table = -1000 * camera.T_world_camera[2, 3] / ray[2]
+        image[row - 3 : row + 4, column - 3 : column + 4] = table if reading == "table" else 400
         return image
 
-    track = lift_hands(landmarks_of(HANDS)[:, :1], table, CAMERAS[:1], TIMES)
+    track = lift_hands(landmarks_of(HANDS)[:, 1:2], wrong, [camera], TIMES)
     assert np.isnan(track.keypoints[:, 8]).all()
     assert np.isfinite(track.keypoints[:, 4]).all()
+
+
+def test_all_cameras_together_are_better_than_any_two():
+    rng = np.random.default_rng(0)
+    pixels = landmarks_of(HANDS) + rng.normal(0, 1.5, (8, 4, 21, 2))
+    blind = np.zeros((159, 212), np.uint16)
+
+    def error(views: list[int]) -> float:
+        cameras = [CAMERAS[c] for c in views]
+        track = lift_hands(pixels[:, views], lambda f, c: blind, cameras, TIMES, max_speed=10)
+        return np.sqrt(np.nanmean((track.keypoints - HANDS) ** 2))
+
+    pairs = [error([a, b]) for a in range(4) for b in range(a)]
+    assert error([0, 1, 2, 3]) < 0.9 * min(pairs)
 
 
 def test_a_jump_is_dropped_and_filled():
@@ -143,9 +159,9 @@ def test_a_single_frame():
     np.testing.assert_allclose(track.keypoints, HANDS[:1], atol=2e-3)
 
 
-def test_parallel_rays_alone_say_nothing():
+def test_nearly_parallel_rays_alone_say_nothing():
     origins = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    rays = np.tile([0.0, 0, 1], (1, 2, 1, 1))
+    rays = np.array([[[[0.05, 0, 1]], [[-0.05, 0, 1]]]]) / np.hypot(0.05, 1)
     assert np.isnan(merge_rays(origins, rays, np.full(rays.shape, np.nan))).all()
 
 

@@ -83,10 +83,28 @@ def test_frames_without_depth_rely_on_colour(block):
     assert iou(block.segment(0, depths=depths), block.object[0])[3] > 0.9
 
 
-def test_a_block_of_the_tables_colour_is_followed_by_its_height(block):
-    images = [np.full_like(image, [150, 110, 75]) for image in block.images[0]]
-    masks = block.segment(0, images=images)
+def test_a_block_of_the_tables_colour_is_found_and_followed_by_its_height(block):
+    images = [[np.full_like(image, [150, 110, 75]) for image in row] for row in block.images]
+    seed = find_object(images, block.depths, CAMERAS, block.hand_px, WORKSPACE, PARAMS)
+    masks = block.segment(0, images=images[0], seed=seed.masks[0])
     assert (iou(masks, block.object[0]) > 0.6).all()
+
+
+def test_a_sleeve_almost_of_the_objects_colour_is_left_out(block):
+    sleeve = [
+        np.where(h[..., None], [70, 100, 160], i).astype(np.uint8)
+        for h, i in zip(block.hand[0], block.images[0], strict=True)
+    ]
+    masks = block.segment(0, images=sleeve, hand_px=np.full((FRAMES, 21, 2), np.nan))
+    assert (masks & block.hand[0]).sum() < 0.1 * masks.sum()
+
+
+def test_what_reaches_in_from_the_edge_is_no_object(block):
+    hand_px = np.full_like(block.hand_px, np.nan)
+    low = WORKSPACE.copy()
+    low[0, 1] = 0.25
+    seed = find_object(block.images, block.depths, CAMERAS, hand_px, low, PARAMS)
+    assert not (seed.masks & block.hand[:, seed.frame]).sum() > 0.1 * seed.masks.sum()
 
 
 def test_a_hidden_object_leaves_an_empty_mask_and_is_found_again(block):
@@ -127,12 +145,15 @@ def test_an_object_outside_the_workspace_is_not_taken(block):
         find_object(block.images, block.depths, CAMERAS, block.hand_px, far, PARAMS)
 
 
-def test_a_seed_of_a_few_pixels_and_one_that_fills_the_image(block):
-    rows, columns = np.nonzero(block.object[0, 0])
-    speck = np.zeros((159, 212), bool)
-    speck[rows[100] : rows[100] + 2, columns[100] : columns[100] + 2] = True
-    assert block.segment(0, seed=speck).shape == (FRAMES, 159, 212)
-    assert block.segment(0, seed=np.ones((159, 212), bool)).shape == (FRAMES, 159, 212)
+def test_an_object_that_fills_the_view():
+    camera, image, depth = (
+        CAMERAS[0],
+        np.full((159, 212, 3), [40, 90, 190], np.uint8),
+        np.full((159, 212), 740, np.uint16),
+    )
+    wide, seed = np.array([[-9.0, 9], [-9, 9], [-9, 9]]), np.ones((159, 212), bool)
+    masks = segment_sequence([image], [depth], camera, np.full((1, 21, 2), np.nan), wide, 0, seed, PARAMS)
+    assert masks.all()
 
 
 def test_a_camera_without_seed_is_named(block):

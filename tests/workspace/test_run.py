@@ -53,7 +53,7 @@ def test_a_changed_setting_makes_only_what_depends_on_it_stale(tiny_run, tmp_pat
     shutil.copytree(tiny_run, folder)
     assert {row["state"] for row in status(folder)} == {"fresh"}
     run = Run.open(folder)
-    run.recipe = run.recipe.with_values(STAGES["train"], {"seed": 5}, "test")
+    run.recipe = run.recipe.with_values(STAGES["train"], {"seed": 5}, "test", folder)
     run.save_recipe()
     states = {row["stage"]: row["state"] for row in status(folder)}
     assert states == dict.fromkeys(("simulate", "dataset"), "fresh") | dict.fromkeys(("train", "evaluate", "plan"), "stale")
@@ -123,6 +123,12 @@ def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
     recipe = load_recipe(path)
     assert recipe.params(STAGES["ingest"]).recording == tmp_path / "rec"
     assert recipe.params(STAGES["plan"]).goal == f"{tmp_path}/rec/goal.ply:3"
+
+
+def test_one_of_two_exclusive_settings_replaces_the_other(tmp_path):
+    recipe = Recipe({"plan": {"env": "tblock", "goal": "a.ply"}})
+    recipe = recipe.with_values(STAGES["plan"], {"state": "now.ply"}, "test", tmp_path)
+    assert recipe.sections["plan"] == {"goal": "a.ply", "state": str(tmp_path / "now.ply")}
 
 
 def test_settings_from_the_command_line():

@@ -1,0 +1,134 @@
+"""The command line: exit codes, messages, JSON, and what --help may import."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import piegraph, piegraph_json
+
+from piegraph_cli.stages import STAGES
+
+COMMANDS = [*STAGES, "run", "status", "report", "calibrate", "view", "doctor"]
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys; from piegraph_cli.app import app; print([m for m in sys.modules if '.' not in m])"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    heavy = {"torch", "numpy", "h5py", "cv2", "open3d", "mediapipe", "scipy", "matplotlib", "pymunk", "gymnasium"}
+    assert not heavy & set(json.loads(loaded.replace("'", '"')))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(command):
+    assert "Usage: " in piegraph(command, "--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["fly"], 2, "No such command"),
+        (["track"], 2, "Missing option"),
+        (["track", "--run", "r", "--speed", "3"], 2, "No such option"),
+        (["train", "--run", "r", "--steps", "0"], 2, "train.steps: Input should be greater than or equal to 1"),
+        (["ingest", "--run", "r", "--workspace", "1,2"], 2, "ingest.workspace"),
+        (["run", "--run", "r"], 2, "no recipe given"),
+        (["run", "none.toml", "--run", "r"], 3, "no such recipe"),
+        (["run", "tblock", "--run", "r", "--set", "train.speed=1"], 2, "train.speed: unknown setting"),
+        (["run", "tblock", "--run", "r", "--until", "fly"], 2, "no stage fly"),
+        (["status", "--run", "r"], 2, "not a run folder"),
+        (["report", "--run", "r"], 2, "has no recording"),
+        (["ingest", "--run", "r", "--recording", "none"], 3, "no such recording folder"),
+        (["simulate", "moon", "--out", "r"], 2, "no environment named 'moon'"),
+        (["doctor", "--fetch", "moon"], 2, "unknown weights moon"),
+    ],
+)
+def test_mistakes_end_with_their_code_one_message_and_no_traceback(tmp_path, arguments, code, message):
+    done = piegraph(*arguments, check=code, cwd=tmp_path)
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_missing_package_names_the_extra(tmp_path):
+    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.app import main; main()"
+    command = [sys.executable, "-c", code, "simulate", "tblock", "--out", str(tmp_path / "r"), "--sequences", "1"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 4, done.stderr
+    assert "pip install 'piegraph[sim]'" in done.stderr
+
+
+def test_status_and_evaluate_as_json(tiny_run):
+    rows = piegraph_json("status", "--run", tiny_run)["artifacts"]
+    assert {row["state"] for row in rows} == {"fresh"}
+    assert [row["stage"] for row in rows if row["sequence"] is None] == ["dataset", "train", "evaluate", "plan"]
+    found = piegraph_json("evaluate", "--run", tiny_run)["rows"]
+    assert {(row["model"], row["horizon"]) for row in found} >= {("static", 1), ("piegraph", 2)}
+    mean, low, high = found[0]["pd"]
+    assert low <= mean <= high
+
+
+def test_a_second_run_is_all_fresh(tiny_run):
+    outcomes = piegraph_json("run", "--run", tiny_run)["outcomes"]
+    assert {o["state"] for o in outcomes} == {"cached"}
+
+
+def test_options_of_a_stage_are_kept_in_the_recipe(tiny_run, tmp_path):
+    folder = tmp_path / "a run"
+    shutil.copytree(tiny_run, folder)
+    piegraph("train", "--run", folder, "--steps", "20", "--no-action-head")
+    text = (folder / "recipe.toml").read_text()
+    assert "steps = 20" in text
+    assert "action_head = false" in text
+    states = {row["stage"]: row["state"] for row in piegraph_json("status", "--run", folder)["artifacts"]}
+    assert (states["train"], states["evaluate"]) == ("fresh", "stale")
+
+
+@pytest.fixture
+def planner(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    (folder / "recipe.toml").write_text((folder / "recipe.toml").read_text().split("[plan]")[0])
+    return folder
+
+
+def test_one_shot_plan_for_a_robot(planner, tmp_path):
+    cloud = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (500, 3))
+    np.savez(tmp_path / "now.npz", points=cloud)
+    plan = piegraph_json(
+        "plan", "--run", planner, "--state", tmp_path / "now.npz", "--goal-pose", "0.1,0,0.3", "--horizon", 2, "--samples", 10
+    )
+    assert (plan["frame"], plan["units"]) == ("world", "m")
+    assert len(plan["strokes"]) == 2
+    assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance"}
+
+
+def test_a_goal_may_be_a_frame_of_a_track(planner, tiny_run):
+    goal = tiny_run / "tracks" / "sequence_0001.h5"
+    plan = piegraph_json("plan", "--run", planner, "--env", "tblock", "--goal", f"{goal}:3", "--samples", 8, "--strokes", 1)
+    assert len(plan["strokes"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ([], 2, "either --env or --state"),
+        (["--env", "moon"], 2, "no environment named 'moon'"),
+        (["--state", "empty.npz"], 2, "--state needs a goal"),
+        (["--env", "tblock", "--goal", "none.ply"], 3, "none.ply: no such file"),
+        (["--env", "tblock", "--goal", "empty.npz"], 3, "holds no finite points"),
+        (["--env", "tblock", "--goal", "empty.ply"], 3, "holds no finite points"),
+        (["--env", "tblock", "--goal", "words.txt"], 3, "cannot read clouds from .txt"),
+        (["--env", "tblock", "--goal", "empty.npz", "--goal-pose", "0,0,1"], 2, "one goal, not two"),
+        (["--env", "tblock", "--model", "oracle"], 2, "unknown model oracle"),
+        (["--env", "tblock", "--stiffness", "5"], 2, "stiffness 5 is unstable"),
+    ],
+)
+def test_wrong_plans(planner, tmp_path, arguments, code, message):
+    np.savez(tmp_path / "empty.npz", points=np.zeros((0, 3)))
+    (tmp_path / "empty.ply").write_text("ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")
+    (tmp_path / "words.txt").write_text("no cloud")
+    done = piegraph("plan", "--run", planner, *arguments, check=code, cwd=tmp_path)
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr

@@ -17,7 +17,7 @@ import typer
 
 from piegraph_cli import __version__
 from piegraph_cli.errors import PiegraphError, UsageError
-from piegraph_cli.params import Params
+from piegraph_cli.params import Params, SimulateParams
 from piegraph_cli.stages import STAGES, Stage
 
 app = typer.Typer(
@@ -61,11 +61,16 @@ def _summary(outcomes: list, folder: Path) -> _Report:
         of_stage = [o for o in outcomes if o.stage == name and not o.error]
         if len(of_stage) > FEW:
             cached = sum(o.state == "cached" for o in of_stage)
-            lines.append(f"{name:24s} {len(of_stage)} sequences, {cached} of them fresh already; last: {of_stage[-1].quality}")
+            lines.append(
+                f"{name:24s} {len(of_stage)} sequences, {cached} of them fresh already; last: {of_stage[-1].quality}"
+            )
         else:
             lines += [f"{name} {o.sequence or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
     lines += [f"FAILED {o.stage} {o.sequence or ''}: {str(o.error).splitlines()[0]}" for o in failed]
-    value = {"run": str(folder), "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes]}
+    value = {
+        "run": str(folder),
+        "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes],
+    }
     return _Report(value, lines or ["nothing to do"], failed[0].error.exit_code if failed else 0)
 
 
@@ -160,7 +165,9 @@ def run(
     recipe: Annotated[str | None, typer.Argument(help="a .toml file or the name of a shipped recipe")] = None,
     run: Annotated[Path | None, typer.Option("--run", help="run folder [default: runs/RECIPE]")] = None,
     until: Annotated[str | None, typer.Option(help="last stage to run")] = None,
-    set: Annotated[list[str] | None, typer.Option("--set", help="STAGE.SETTING=VALUE, in place of the recipe's")] = None,
+    set: Annotated[
+        list[str] | None, typer.Option("--set", help="STAGE.SETTING=VALUE, in place of the recipe's")
+    ] = None,
     force: Force = False,
     jobs: Jobs = 1,
     backend: Backend = "local",
@@ -196,7 +203,9 @@ def status(run: RunFolder, as_json: AsJson = False) -> None:
         raise UsageError("not a run folder: it has no recipe.toml", str(run), "piegraph run RECIPE --run FOLDER")
     rows = rows_of(run)
     lines = [f"{'stage':10s} {'sequence':16s} {'state':8s} quality"]
-    lines += [f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {r['quality'] or r['failure']}" for r in rows]
+    lines += [
+        f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {r['quality'] or r['failure']}" for r in rows
+    ]
     _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
 
 
@@ -219,10 +228,18 @@ def simulate(
     from piegraph_cli.workspace.run import Run
 
     stage = STAGES["simulate"]
-    values = {"environment": environment, "sequences": sequences, "strokes": strokes, "seed": seed, "particles": particles}
+    values = {
+        "environment": environment,
+        "sequences": sequences,
+        "strokes": strokes,
+        "seed": seed,
+        "particles": particles,
+    }
     recipe = Run.open(out).recipe.with_values(stage, values, "piegraph simulate", Path.cwd())
     if render:
-        made = record_sequences(out, recipe.params(stage), jobs=jobs, force=force)
+        settings = recipe.params(stage)
+        assert isinstance(settings, SimulateParams)
+        made = record_sequences(out, settings, jobs=jobs, force=force)
         _emit(_Report({"recording": str(out), "sequences": made}, [f"{out}: {len(made)} sequences"]), as_json)
         return
     with _logging_to(out):
@@ -257,7 +274,9 @@ def calibrate(
     from piegraph_cli.stages.calibrate import calibrate as locate
 
     results = locate(recording, sequence, Board(columns, rows, square, marker, dictionary))
-    lines = [f"{name:12s} {error:5.2f} px{'  poor: check K and distortion' if poor else ''}" for name, error, poor in results]
+    lines = [
+        f"{name:12s} {error:5.2f} px{'  poor: check K and distortion' if poor else ''}" for name, error, poor in results
+    ]
     _emit(_Report({"cameras": {name: {"error_px": error} for name, error, _ in results}}, lines), as_json)
 
 
@@ -299,7 +318,9 @@ def _version(value: bool) -> None:
 
 @app.callback()
 def _options_of_all(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
+    ] = False,
 ) -> None:
     """Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned."""
 
@@ -315,5 +336,5 @@ def main() -> None:
         print("interrupted; the same command goes on from here", file=sys.stderr)
         sys.exit(130)
     except typer.TyperException as error:
-        error.show()
+        print(f"error: {error.format_message()}\n  try: piegraph --help, piegraph COMMAND --help", file=sys.stderr)
         sys.exit(error.exit_code)

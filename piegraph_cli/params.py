@@ -17,7 +17,9 @@ def _split(value: object) -> object:
 Pose2 = Annotated[tuple[float, float, float], BeforeValidator(_split)]
 Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_split)]
 Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_split), Field(min_length=1)]
-Lengths = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)]
+Lengths = Annotated[
+    tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)
+]
 Names = Annotated[tuple[str, ...], BeforeValidator(_split), Field(min_length=1)]
 
 
@@ -68,12 +70,14 @@ class SegmentParams(Params):
 
     segmenter: Literal["grabcut", "sam"] = Field("grabcut", description="how the object's mask is found")
     min_height: float = Field(0.006, gt=0, description="height above the table from which depth tells the object [m]")
-    min_contrast: float = Field(0.25, gt=0, description="colour difference from the table that tells the object [log ratio]")
+    min_contrast: float = Field(
+        0.25, gt=0, description="colour difference from the table that tells the object [log ratio]"
+    )
     min_area: float = Field(4e-4, gt=0, description="smallest object, as table area covered [m2]")
     sam_checkpoint: Path | None = Field(None, description="weights for --segmenter sam")
     sam_model: Literal["vit_h", "vit_l", "vit_b", "tiny"] = Field("vit_b", description="SAM model of the checkpoint")
     sam_every: int = Field(10, ge=1, description="frames between SAM key frames; masks are propagated between them")
-    prompts: dict[str, list[float]] = Field(
+    prompts: dict[str, tuple[float, float, float, float]] = Field(
         {}, description="box x0,y0,x1,y1 [px] in the first frame, per camera; automatic where not given"
     )
 

@@ -97,7 +97,17 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
     cloud = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (500, 3))
     np.savez(tmp_path / "now.npz", points=cloud)
     plan = piegraph_json(
-        "plan", "--run", planner, "--state", tmp_path / "now.npz", "--goal-pose", "0.1,0,0.3", "--horizon", 2, "--samples", 10
+        "plan",
+        "--run",
+        planner,
+        "--state",
+        tmp_path / "now.npz",
+        "--goal-pose",
+        "0.1,0,0.3",
+        "--horizon",
+        2,
+        "--samples",
+        10,
     )
     assert (plan["frame"], plan["units"]) == ("world", "m")
     assert len(plan["strokes"]) == 2
@@ -106,7 +116,9 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
 
 def test_a_goal_may_be_a_frame_of_a_track(planner, tiny_run):
     goal = tiny_run / "tracks" / "sequence_0001.h5"
-    plan = piegraph_json("plan", "--run", planner, "--env", "tblock", "--goal", f"{goal}:3", "--samples", 8, "--strokes", 1)
+    plan = piegraph_json(
+        "plan", "--run", planner, "--env", "tblock", "--goal", f"{goal}:3", "--samples", 8, "--strokes", 1
+    )
     assert len(plan["strokes"]) == 1
 
 

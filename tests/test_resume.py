@@ -75,7 +75,16 @@ def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(tiny_run, folder)
     process = subprocess.Popen(
-        [sys.executable, "-c", "from piegraph_cli.app import main; main()", "train", "--run", folder, "--steps", "1000000"],
+        [
+            sys.executable,
+            "-c",
+            "from piegraph_cli.app import main; main()",
+            "train",
+            "--run",
+            folder,
+            "--steps",
+            "1000000",
+        ],
         stderr=subprocess.PIPE,
         text=True,
     )

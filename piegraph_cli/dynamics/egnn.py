@@ -48,7 +48,9 @@ class Layer(nn.Module):
         offset = x[:, :, None] - gather_neighbors(x, neighbors)
         distance = (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt()
         edge = self.distance(torch.cat([distance, rest2], -1))
-        message = torch.nn.functional.silu(self.receive(h)[:, :, None] + gather_neighbors(self.send(h), neighbors) + edge)
+        message = torch.nn.functional.silu(
+            self.receive(h)[:, :, None] + gather_neighbors(self.send(h), neighbors) + edge
+        )
         x = x + (offset / (distance + 1) * self.coordinate(message)).mean(2)
         return h + self.update(torch.cat([h, message.mean(2)], -1)), x
 
@@ -73,9 +75,9 @@ class EGNN(nn.Module):
         self.lift = nn.Linear(hidden, 1)
         self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), nn.Linear(hidden, 2)) if action_head else None
         with torch.no_grad():
-            for last in [self.lift] + ([self.head[-1]] if self.head is not None else []):
-                last.weight.mul_(0.1)
-                last.bias.zero_()
+            for name, parameter in self.named_parameters():
+                if name.startswith(("lift.", "head.2.")):
+                    parameter.mul_(0.1 if name.endswith("weight") else 0.0)
 
     def forward(
         self, positions: torch.Tensor, strokes: torch.Tensor, neighbors: torch.Tensor | None = None
@@ -83,7 +85,7 @@ class EGNN(nn.Module):
         """Positions [B, N, 3] (m) after strokes [B, 5]; `neighbors` [B, N, k] where the graph is known already."""
         if neighbors is None:
             neighbors = nearest_neighbors(positions, self.neighbors)
-        scale = positions.new_tensor([DECIMETRE] * 4 + [1.0])
+        scale = torch.tensor([DECIMETRE] * 4 + [1.0], dtype=positions.dtype, device=positions.device)
         h = self.embed(canonical_action(positions, strokes) * scale)
         x = start = (positions - positions.mean(1, keepdim=True)) * DECIMETRE
         rest2 = (x[:, :, None] - gather_neighbors(x, neighbors)).square().sum(-1, keepdim=True)

@@ -48,17 +48,17 @@ class Arm:
 def held(hand: Hand, grip: Grip) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and landmarks (m) of a grip in world axes, the middle of index and middle fingertip at the origin."""
     steep = grip.steep
-    bend = (0.18 + 0.42 * steep, 0.20 + 0.25 * steep, 0.12)
+    bend = (0.30 + 0.30 * steep, 0.30 + 0.15 * steep, 0.18)
     flexion = {
         "thumb": (0.10 - 0.10 * steep, 0.22 - 0.15 * steep, 0.25 - 0.2 * steep),
         "index": bend,
         "middle": (bend[0] + 0.04, bend[1] + 0.05, bend[2]),
-        "ring": (bend[0] + 0.05, bend[1] + 0.07, bend[2] + 0.04),
-        "pinky": (bend[0] + 0.06, bend[1] + 0.08, bend[2] + 0.04),
+        "ring": (bend[0] + 0.12, bend[1] + 0.14, bend[2] + 0.08),
+        "pinky": (bend[0] + 0.18, bend[1] + 0.18, bend[2] + 0.10),
     }
-    spread = {"thumb": -0.45, "index": -0.02, "middle": 0.05, "ring": 0.13, "pinky": 0.14}
+    spread = {"thumb": -0.45, "index": -0.02, "middle": 0.06, "ring": 0.17, "pinky": 0.22}
     vertices, landmarks = hand.pose(flexion, spread)
-    pitch = 0.50 + 0.20 * steep
+    pitch = 0.42 + 0.28 * steep
     cos, sin = math.cos(grip.heading), math.sin(grip.heading)
     tilt = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilt

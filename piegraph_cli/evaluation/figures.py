@@ -58,7 +58,7 @@ def track_figure(
 ) -> Figure:
     """Tracked particles [F, N, 3] at some frames over the true ones (where known), and their mean error over time."""
     figure = Figure(figsize=(3.4 * len(frames), 5.6), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=[2, 1])
+    upper, lower = figure.subfigures(2, 1, height_ratios=[2, 1], squeeze=False)[:, 0]
     colors = particle_colors(positions[0])
     shown = [positions[list(frames)].reshape(-1, 3)]
     for axes, frame in zip(upper.subplots(1, len(frames), squeeze=False)[0], frames, strict=True):
@@ -77,7 +77,9 @@ def track_figure(
         moved = np.linalg.norm(positions - positions[0], axis=-1).mean(-1)
         axes.plot(time, moved * 1000, color=OBJECT)
         axes.set_ylabel("mean motion [mm]")
-    axes.fill_between(time, 0, 1, where=contact, transform=axes.get_xaxis_transform(), color=GOAL, alpha=0.12, label="contact")
+    axes.fill_between(
+        time, 0, 1, where=contact, transform=axes.get_xaxis_transform(), color=GOAL, alpha=0.12, label="contact"
+    )
     axes.set_xlabel("time [s]")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=7)
@@ -107,7 +109,9 @@ def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
             mean, low, high = np.array([row[metric] for row in own]).T
             axes.plot(horizons, mean, "o-", label=model, ms=4)
             axes.fill_between(horizons, low, high, alpha=0.15)
-        axes.set(xlabel="strokes predicted", ylabel=f"{metric.upper()} [{unit}]", xticks=sorted({r["horizon"] for r in rows}))
+        axes.set(
+            xlabel="strokes predicted", ylabel=f"{metric.upper()} [{unit}]", xticks=sorted({r["horizon"] for r in rows})
+        )
         axes.set_ylim(bottom=0)
     axes.legend(fontsize=8)
     figure.suptitle("Prediction on held-out sequences", fontsize=10)
@@ -134,7 +138,10 @@ def plan_figure(steps: Sequence[dict[str, Any]], goal: np.ndarray, title: str) -
             (x0, y0), (x1, y1) = steps[k]["stroke"]
             axes.scatter(*steps[k]["predicted"][:, :2].T, s=5, color=PREDICTED, label="predicted")
             axes.annotate("", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "-|>", "color": "k", "lw": 1.5})
-        axes.set_title(f"stroke {k + 1}" if k < len(steps) else "reached" if last is steps[-1]["after"] else "predicted", fontsize=9)
+        axes.set_title(
+            f"stroke {k + 1}" if k < len(steps) else "reached" if last is steps[-1]["after"] else "predicted",
+            fontsize=9,
+        )
         _top_view(axes, everything)
     grid[0].legend(fontsize=6)
     figure.suptitle(title, fontsize=10)

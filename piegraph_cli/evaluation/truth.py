@@ -45,8 +45,8 @@ def surface_distance(points: np.ndarray, vertices: np.ndarray, triangles: np.nda
 
 def mask_iou(found: np.ndarray, true: np.ndarray) -> float:
     """Intersection over union of two masks [H, W]; 1 where both are empty."""
-    union = (found | true).sum()
-    return float((found & true).sum() / union) if union else 1.0
+    union = int(np.logical_or(found, true).sum())
+    return int(np.logical_and(found, true).sum()) / union if union else 1.0
 
 
 def hand_scores(seen: np.ndarray, end_effector: np.ndarray, true_end_effector: np.ndarray) -> dict[str, np.ndarray]:
@@ -57,7 +57,7 @@ def hand_scores(seen: np.ndarray, end_effector: np.ndarray, true_end_effector: n
     present = np.isfinite(true_end_effector).all(-1)
     error = np.linalg.norm(end_effector[:, :2] - true_end_effector[:, :2], axis=-1) * MILLIMETRE
     return {
-        "frames with the hand found": seen.any(1)[present].astype(float),
+        "frames with the hand found": np.asarray(seen.any(1))[present].astype(float),
         "end-effector error [mm]": error[present & np.isfinite(error)],
     }
 

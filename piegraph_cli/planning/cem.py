@@ -55,7 +55,9 @@ def plan_strokes(
         fresh = _resample(proposals[order[:count]], samples - 1, generator)
         proposals = torch.cat([kept, space.clip(fresh)])
     if best is None or best.cost >= INFEASIBLE:
-        raise DataError("no stroke touches the object inside the workspace", hint="widen plan.workspace or move the object")
+        raise DataError(
+            "no stroke touches the object inside the workspace", hint="widen plan.workspace or move the object"
+        )
     return best
 
 

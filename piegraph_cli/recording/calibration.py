@@ -27,7 +27,9 @@ class Board:
         if not hasattr(cv2.aruco, self.dictionary):
             raise UsageError(f"unknown marker dictionary {self.dictionary}", hint="as OpenCV names them: DICT_5X5_100")
         if not 0 < self.marker < self.square or min(self.columns, self.rows) < 3:
-            raise UsageError("a board needs 3 x 3 squares or more, with markers smaller than squares", hint="measure the print")
+            raise UsageError(
+                "a board needs 3 x 3 squares or more, with markers smaller than squares", hint="measure the print"
+            )
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, dictionary)
 
@@ -62,7 +64,9 @@ def locate_camera(
     points = board.to_world(np.asarray(printed.getChessboardCorners(), np.float64)[indices])
     ok, rotation, translation = cv2.solvePnP(points, pixels, K, distortion, flags=cv2.SOLVEPNP_ITERATIVE)
     if not ok:
-        raise DataError(f"camera {name}: no pose fits the board's corners", hint="check K and distortion in cameras.json")
+        raise DataError(
+            f"camera {name}: no pose fits the board's corners", hint="check K and distortion in cameras.json"
+        )
     projected, _ = cv2.projectPoints(points, rotation, translation, K, distortion)
     error = float(np.linalg.norm(projected[:, 0] - pixels, axis=-1).mean())
     T_camera_world = np.eye(4)

@@ -23,13 +23,24 @@ def encode_masks(masks: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return join_images(cv2.imencode(".png", mask.astype(np.uint8) * 255, flags)[1].tobytes() for mask in masks)
 
 
+def decode_color(data: np.ndarray) -> np.ndarray:
+    """Encoded bytes uint8 [byte] of a checked colour image to RGB uint8 [H, W, 3]."""
+    import cv2
+
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert image is not None
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
 class ImageStack:
     """Encoded images by frame and camera; images lie frame by frame, cameras within."""
 
     def __init__(self, data: np.ndarray, offsets: np.ndarray, cameras: int, what: str):
         inside = len(offsets) and offsets[0] == 0 and offsets[-1] == len(data) and (np.diff(offsets) >= 0).all()
         if not inside or (len(offsets) - 1) % cameras:
-            raise DataError(f"the offsets of the {what} images are damaged", hint="make the artifact again with --force")
+            raise DataError(
+                f"the offsets of the {what} images are damaged", hint="make the artifact again with --force"
+            )
         self.data, self.offsets, self.cameras, self.what = data, offsets, cameras, what
 
     def __len__(self) -> int:
@@ -43,7 +54,9 @@ class ImageStack:
         data = self.data[self.offsets[image] : self.offsets[image + 1]]
         decoded = cv2.imdecode(data, flag) if len(data) else None
         if decoded is None:
-            raise DataError(f"{self.what} image of frame {frame}, camera {camera} cannot be decoded", hint="ingest again")
+            raise DataError(
+                f"{self.what} image of frame {frame}, camera {camera} cannot be decoded", hint="ingest again"
+            )
         return decoded
 
     def color(self, frame: int, camera: int) -> np.ndarray:

@@ -1,10 +1,10 @@
 """The recording folder layout (docs/formats.md): reading it with checks that name file, camera and frame, and writing it.
 
-    RECORDING/cameras.json                    intrinsics, distortion, depth scale, T_world_camera per camera
-    RECORDING/SEQUENCE/cameras.json           optional, in place of the one above
-    RECORDING/SEQUENCE/CAMERA/timestamps.txt  one time stamp in seconds per line, one line per frame
-    RECORDING/SEQUENCE/CAMERA/color/000000.jpg (or .png), depth/000000.png (16 bit)
-    RECORDING/SEQUENCE/truth.h5               simulated recordings only; read by scoring, never by a stage
+RECORDING/cameras.json                    intrinsics, distortion, depth scale, T_world_camera per camera
+RECORDING/SEQUENCE/cameras.json           optional, in place of the one above
+RECORDING/SEQUENCE/CAMERA/timestamps.txt  one time stamp in seconds per line, one line per frame
+RECORDING/SEQUENCE/CAMERA/color/000000.jpg (or .png), depth/000000.png (16 bit)
+RECORDING/SEQUENCE/truth.h5               simulated recordings only; read by scoring, never by a stage
 """
 
 import json
@@ -64,7 +64,9 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
     """
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
     if path is None:
-        raise DataError("cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`")
+        raise DataError(
+            "cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`"
+        )
     try:
         entries = CamerasFile.model_validate_json(path.read_text())
     except ValidationError as error:
@@ -75,7 +77,9 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
         raise DataError(f"cannot be read: {error}", str(path)) from None
     if entries.version != LAYOUT_VERSION:
         raise DataError(
-            f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}", str(path), "update piegraph"
+            f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}",
+            str(path),
+            "update piegraph",
         )
     unposed = [name for name, entry in entries.cameras.items() if entry.T_world_camera is None]
     if posed and unposed:
@@ -99,7 +103,9 @@ def _camera(name: str, entry: CameraEntry, path: Path) -> Camera:
     if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[3], [0, 0, 0, 1]):
         raise DataError("T_world_camera must be a finite 4 x 4 rigid transform", where, "run `piegraph calibrate`")
     if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
-        raise DataError("the rotation in T_world_camera is singular or not a rotation", where, "run `piegraph calibrate`")
+        raise DataError(
+            "the rotation in T_world_camera is singular or not a rotation", where, "run `piegraph calibrate`"
+        )
     return Camera(name, entry.width, entry.height, K, distortion, T, entry.depth_scale)
 
 

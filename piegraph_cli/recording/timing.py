@@ -8,7 +8,9 @@ SAME_RATE = 0.1
 """A recording within this share of the wanted rate is taken frame by frame."""
 
 
-def align_frames(times: dict[str, np.ndarray], fps: float, max_skew: float, where: str) -> tuple[np.ndarray, np.ndarray]:
+def align_frames(
+    times: dict[str, np.ndarray], fps: float, max_skew: float, where: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Frame times [F] (s, from 0) and each camera's frame for them [F, C].
 
     Recordings at about `fps` are taken frame by frame; others are resampled to the nearest frames of a regular clock,

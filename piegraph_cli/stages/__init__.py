@@ -35,12 +35,30 @@ _TABLE = (
     Stage("simulate", (), "tracks", "sequence", params.SimulateParams, 1, "simulate:run", "simulate true particles"),
     Stage("ingest", (), "frames", "sequence", params.IngestParams, 1, "ingest:run", "read and check a recording"),
     Stage("hands", ("frames",), "hands", "sequence", params.HandsParams, 1, "hands:run", "find the hand in 3-D"),
-    Stage("segment", ("frames", "hands"), "masks", "sequence", params.SegmentParams, 1, "segment:run", "mask the object"),
     Stage(
-        "fuse", ("frames", "hands", "masks"), "clouds", "sequence", params.FuseParams, 1, "fuse:run", "fuse the object's cloud"
+        "segment", ("frames", "hands"), "masks", "sequence", params.SegmentParams, 1, "segment:run", "mask the object"
+    ),
+    Stage(
+        "fuse",
+        ("frames", "hands", "masks"),
+        "clouds",
+        "sequence",
+        params.FuseParams,
+        1,
+        "fuse:run",
+        "fuse the object's cloud",
     ),
     Stage("track", ("clouds",), "tracks", "sequence", params.TrackParams, 1, "track:run", "track particles"),
-    Stage("dataset", ("tracks",), "dataset", "run", params.DatasetParams, 1, "dataset:run", "cut strokes, pair frames, split"),
+    Stage(
+        "dataset",
+        ("tracks",),
+        "dataset",
+        "run",
+        params.DatasetParams,
+        1,
+        "dataset:run",
+        "cut strokes, pair frames, split",
+    ),
     Stage("train", ("dataset",), "model", "run", params.TrainParams, 1, "train:run", "train the network"),
     Stage(
         "evaluate",

@@ -7,6 +7,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.calibration import Board, locate_camera
+from piegraph_cli.recording.images import decode_color
 from piegraph_cli.recording.layout import cameras_text, frame_files, list_sequences, read_cameras, read_color
 from piegraph_cli.workspace.artifact import atomic_file
 
@@ -19,8 +20,6 @@ def calibrate(recording: Path, sequence: str | None, board: Board, frames: int =
 
     cameras.json is replaced once all cameras are located; before that nothing is written.
     """
-    import cv2
-
     folders = {folder.name: folder for folder in list_sequences(recording)}
     if sequence is not None and sequence not in folders:
         raise DataError(f"no sequence {sequence}", str(recording), f"one of {', '.join(folders)}")
@@ -28,10 +27,7 @@ def calibrate(recording: Path, sequence: str | None, board: Board, frames: int =
     located, results = [], []
     for camera in read_cameras(folder, posed=False):
         files = frame_files(folder, camera)[:frames]
-        images = (
-            cv2.imdecode(np.frombuffer(read_color(color, camera), np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1].copy()
-            for color, _ in files
-        )
+        images = (decode_color(np.frombuffer(read_color(color, camera), np.uint8)) for color, _ in files)
         T, error = locate_camera(images, camera.K, camera.distortion, board, camera.name)
         located.append(replace(camera, T_world_camera=T))
         results.append((camera.name, error, error > POOR))

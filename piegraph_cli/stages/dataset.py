@@ -34,7 +34,9 @@ def run(inputs: dict[str, dict[str, Artifact]], params: DatasetParams, context: 
             stroke_count += 1
         frames += len(artifact["time"])
     if not stroke_count:
-        raise DataError("no stroke was found in any sequence", hint="check the hand with `piegraph report`, or lower min_stroke")
+        raise DataError(
+            "no stroke was found in any sequence", hint="check the hand with `piegraph report`, or lower min_stroke"
+        )
     split = split_sequences(list(tracks), params, set(empty))
     arrays = {
         "positions": np.concatenate([a["positions"] for a in tracks.values()]),
@@ -49,7 +51,8 @@ def run(inputs: dict[str, dict[str, Artifact]], params: DatasetParams, context: 
         "sequence_split": split,
     }
     counts = [int((split == part).sum()) for part in (TRAIN, VALIDATION, TEST)]
-    quality = f"{stroke_count} strokes, {len(columns['pairs'])} pairs; sequences: {counts[0]} train, {counts[1]} validation, {counts[2]} test"
+    split_text = f"sequences: {counts[0]} train, {counts[1]} validation, {counts[2]} test"
+    quality = f"{stroke_count} strokes, {len(columns['pairs'])} pairs; {split_text}"
     warnings = [f"no stroke in {', '.join(empty)}: check the hand with `piegraph report`"] if empty else []
     return Output(arrays, quality, warnings)
 

@@ -38,7 +38,9 @@ def run(inputs: dict[str, Any], params: EvaluateParams, context: Context) -> Out
             for column, value in zip(rows, (row[0], row[1], names[index], *row[2:]), strict=True):
                 rows[column].append(value)
     if not rows["model"]:
-        raise DataError(f"no held-out sequence has {min(params.horizons)} strokes in a row", hint="record longer sequences")
+        raise DataError(
+            f"no held-out sequence has {min(params.horizons)} strokes in a row", hint="record longer sequences"
+        )
     scores = [(score, name, value) for name in truth for score, value in score_sequence(inputs, name, context.run)]
     arrays = {name: np.array(values) for name, values in rows.items()}
     arrays |= {
@@ -50,7 +52,7 @@ def run(inputs: dict[str, Any], params: EvaluateParams, context: Context) -> Out
 
 
 def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
-    """One sequence of a dataset: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S, 5], `frames` [S, 2]."""
+    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S, 5], `frames` [S, 2]."""
     chosen = data["stroke_sequence"] == index
     first, last = data["strokes"][chosen].T
     hand = data["end_effector"]
@@ -80,7 +82,11 @@ def _evaluate_sequence(sequence: dict[str, np.ndarray], true: np.ndarray | None,
             for window in range(windows):
                 last = window + horizon - 1
                 found, target = positions[window].numpy(), sequence["after"][last]
-                metrics = [chamfer_distance(found, target), shape_error(found, target, edges), particle_distance(found, target)]
+                metrics = [
+                    chamfer_distance(found, target),
+                    shape_error(found, target, edges),
+                    particle_distance(found, target),
+                ]
                 at_end = None if true is None else true[sequence["frames"][last, 1]]
                 metrics.append(float("nan") if at_end is None else particle_distance(found, at_end))
                 yield name, horizon, window, *metrics
@@ -127,7 +133,8 @@ def summarise_scores(metrics: dict[str, np.ndarray]) -> list[dict[str, Any]]:
 def describe(metrics: Artifact) -> tuple[dict[str, Any], list[str]]:
     """The metrics as one object and as a table for people."""
     rows, scores = summarise(metrics.arrays), summarise_scores(metrics.arrays)
-    lines = [f"{'H':>2s} {'model':14s} {'windows':>7s} {'PD [cm]':>18s} {'CD [cm]':>8s} {'S [cm2]':>8s} {'CD+S':>8s} {'PD truth [cm]':>14s}"]
+    heads = f"{'PD [cm]':>18s} {'CD [cm]':>8s} {'S [cm2]':>8s} {'CD+S':>8s} {'PD truth [cm]':>14s}"
+    lines = [f"{'H':>2s} {'model':14s} {'windows':>7s} {heads}"]
     for row in rows:
         mean, low, high = row["pd"]
         text = f"{mean:6.2f} [{low:5.2f},{high:5.2f}]"
@@ -138,7 +145,9 @@ def describe(metrics: Artifact) -> tuple[dict[str, Any], list[str]]:
         )
     if scores:
         lines += ["", f"{'against the truth':40s} {'values':>7s} {'mean':>8s} {'median':>8s} {'p90':>8s}"]
-        lines += [f"{s['score']:40s} {s['values']:7d} {s['mean']:8.3f} {s['median']:8.3f} {s['p90']:8.3f}" for s in scores]
+        lines += [
+            f"{s['score']:40s} {s['values']:7d} {s['mean']:8.3f} {s['median']:8.3f} {s['p90']:8.3f}" for s in scores
+        ]
     return {"metrics": str(metrics.path), "rows": rows, "scores": scores}, lines
 
 

@@ -53,7 +53,11 @@ def _episode(network: Any, particles: int, params: PlanParams, index: int) -> Ep
     cost, make_plan = _planner(network, state, goal, corresponds, params, [params.seed, index])
 
     def act(stroke: torch.Tensor) -> tuple[np.ndarray, bool]:
-        action = {"start": stroke[:2].numpy().astype(float), "end": stroke[2:4].numpy().astype(float), "mode": int(stroke[4])}
+        action = {
+            "start": stroke[:2].numpy().astype(float),
+            "end": stroke[2:4].numpy().astype(float),
+            "mode": int(stroke[4]),
+        }
         after, _, _, _, info = environment.step(action)
         return after, info["blocked"]
 
@@ -131,14 +135,18 @@ def read_points(path: Path, frame: int | None) -> np.ndarray:
     if not path.is_file():
         raise DataError("no such file", str(path), "give a .ply, .npz or .h5 file")
     if path.suffix not in readers:
-        raise DataError(f"cannot read clouds from {path.suffix or 'a file without suffix'}", str(path), "use .ply, .npz or .h5")
+        raise DataError(
+            f"cannot read clouds from {path.suffix or 'a file without suffix'}", str(path), "use .ply, .npz or .h5"
+        )
     sets = readers[path.suffix](path)
     index = len(sets) - 1 if frame is None else frame
     if not -len(sets) <= index < len(sets):
         raise DataError(f"has {len(sets)} frames, no frame {frame}", str(path), f"use 0 to {len(sets) - 1}")
     points = np.asarray(sets[index], np.float32)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
-        raise DataError(f"holds no finite points [P, 3] but an array {points.shape}", f"{path}, frame {index}", "give another file")
+        raise DataError(
+            f"holds no finite points [P, 3] but an array {points.shape}", f"{path}, frame {index}", "give another file"
+        )
     return points
 
 

@@ -1,8 +1,10 @@
 """Stage `segment`: the object's mask in every image, the hand left out."""
 
+from typing import Any
+
 import numpy as np
 
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import MissingError, UsageError
 from piegraph_cli.params import SegmentParams
 from piegraph_cli.perception import sam, segmentation
 from piegraph_cli.perception.sam_models import load_sam
@@ -25,7 +27,7 @@ def run(inputs: dict[str, Artifact], params: SegmentParams, context: Context) ->
     if unknown:
         raise UsageError(f"segment.prompts names no camera of this recording: {', '.join(unknown)}", str(frames.path))
     seed = _seed(params, color, depth, cameras, hand_px, workspace)
-    network = load_sam(params.sam_checkpoint, params.sam_model) if params.segmenter == "sam" else None
+    network = _network(params) if params.segmenter == "sam" else None
     masks = []
     for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
         given = (color[c], depth[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
@@ -33,13 +35,25 @@ def run(inputs: dict[str, Artifact], params: SegmentParams, context: Context) ->
             masks.append(segmentation.segment_sequence(*given))
         else:
             box = params.prompts.get(camera.name)
-            prompt = sam.SamPrompt(box=tuple(box)) if box else None
+            prompt = sam.SamPrompt(box=box) if box else None
             masks.append(sam.segment_sequence(network, *given, key_every=params.sam_every, prompt=prompt))
     area = np.stack([m.sum((1, 2)) for m in masks], 1)
     data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
     found = (area > 0).any(1).mean()
-    quality = f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
+    quality = (
+        f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
+    )
     return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality)
+
+
+def _network(params: SegmentParams) -> Any:
+    if params.sam_checkpoint is None:
+        raise MissingError(
+            "--segmenter sam needs weights",
+            "segment.sam_checkpoint",
+            "piegraph doctor --fetch sam-vit-b, then --sam-checkpoint with the file it names",
+        )
+    return load_sam(params.sam_checkpoint, params.sam_model)
 
 
 def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> ObjectSeed:

@@ -49,11 +49,10 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
     import joblib
     from tqdm import tqdm
 
-    from piegraph_cli.environments.hand import cached_hand, fetch_hand
+    from piegraph_cli.environments.hand import load_hand
     from piegraph_cli.environments.rig import camera_rig
 
-    if not cached_hand().exists():
-        fetch_hand()
+    load_hand()  # fetched once, before several processes would fetch it
     write_cameras(out, camera_rig())
     names = [f"sequence_{i:04d}" for i in range(params.sequences)]
     work = joblib.Parallel(n_jobs=min(jobs, len(names)), return_as="generator")(
@@ -77,10 +76,12 @@ def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bo
     shutil.rmtree(partial, ignore_errors=True)
     cameras, times, truth = camera_rig(), [], []
     environment = make(params.environment, particles=params.particles)
-    for number, frame in enumerate(record(environment, sequence_seed(params, index), params.strokes, cameras, load_hand())):
+    for number, frame in enumerate(
+        record(environment, sequence_seed(params, index), params.strokes, cameras, load_hand())
+    ):
         for camera, color, depth in zip(cameras, frame.color, frame.depth, strict=True):
             write_frame(partial, camera, number, color, depth, JPEG_QUALITY)
-        times.append(frame.times)
+        times.append(frame.stamps)
         truth.append(frame)
     for k, camera in enumerate(cameras):
         write_times(partial, camera, np.array(times)[:, k])

@@ -37,7 +37,9 @@ def run(inputs: dict[str, Artifact], params: TrackParams, context: Context) -> O
     quality = f"{frames} frames, residual {residual * 1000:.1f} mm (no accuracy: see docs/method.md)"
     warnings = []
     if tracked.held.any():
-        warnings.append(f"{tracked.held.sum()} frames without a cloud, first {int(tracked.held.argmax())}: particles held still")
+        warnings.append(
+            f"{tracked.held.sum()} frames without a cloud, first {int(tracked.held.argmax())}: particles held still"
+        )
     if residual > POOR:
         warnings.append(f"residual {residual * 1000:.1f} mm: look at the clouds with `piegraph report`")
     return Output(arrays, quality, warnings)

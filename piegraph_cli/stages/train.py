@@ -77,7 +77,9 @@ def read_network(model: Artifact) -> EGNN:
     """The trained network of a model artifact. Raises `DataError` where the weights do not fit its settings."""
     fields = {name: model.params[name] for name in TrainParams.model_fields if name in model.params}
     network = make_network(TrainParams(**fields))
-    weights = {n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")}
+    weights = {
+        n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")
+    }
     try:
         network.load_state_dict(weights)
     except RuntimeError as error:

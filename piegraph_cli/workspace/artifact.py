@@ -86,7 +86,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise DataError(f"cannot be written: {error}", str(path), "free disk space or check permissions, then rerun") from error
+        raise DataError(
+            f"cannot be written: {error}", str(path), "free disk space or check permissions, then rerun"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
     folder = os.open(path.parent, os.O_RDONLY)
@@ -133,11 +135,15 @@ def read_artifact(path: Path, name: str) -> Artifact:
         def take(dataset: str, item: h5py.Dataset | h5py.Group) -> None:
             if isinstance(item, h5py.Dataset):
                 if item.dtype.hasobject:
-                    raise DataError(f"dataset {dataset} has a type that is not allowed", str(path), _remake(path, attributes))
+                    raise DataError(
+                        f"dataset {dataset} has a type that is not allowed", str(path), _remake(path, attributes)
+                    )
                 try:
                     arrays[dataset] = item[()]
                 except (OSError, ValueError, MemoryError) as error:
-                    raise DataError(f"dataset {dataset} is damaged: {error}", str(path), _remake(path, attributes)) from None
+                    raise DataError(
+                        f"dataset {dataset} is damaged: {error}", str(path), _remake(path, attributes)
+                    ) from None
 
         file.visititems(take)
     check_arrays(path, name, arrays, _remake(path, attributes))
@@ -162,11 +168,15 @@ def read_key(path: Path, name: str) -> str | None:
 @contextlib.contextmanager
 def _open(path: Path, name: str) -> Iterator[h5py.File]:
     if not path.is_file():
-        raise DataError(f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them")
+        raise DataError(
+            f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them"
+        )
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        raise DataError(f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again") from None
+        raise DataError(
+            f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again"
+        ) from None
     with file:
         yield file
 
@@ -175,13 +185,17 @@ def _attributes(file: h5py.File, path: Path, name: str) -> dict[str, str]:
     version = file.attrs.get("schema_version")
     if isinstance(version, np.integer) and version > SCHEMA_VERSION:
         raise DataError(
-            f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})", str(path), "update piegraph"
+            f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})",
+            str(path),
+            "update piegraph",
         )
     attributes = {k: file.attrs.get(k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
     if version != SCHEMA_VERSION or not all(isinstance(value, str) for value in attributes.values()):
         raise DataError("not an artifact of this version", str(path), "make it again with --force")
     if attributes["artifact"] != name:
-        raise DataError(f"holds {attributes['artifact']}, expected {name}", str(path), "give the file of the right stage")
+        raise DataError(
+            f"holds {attributes['artifact']}, expected {name}", str(path), "give the file of the right stage"
+        )
     return attributes  # type: ignore[return-value]
 
 

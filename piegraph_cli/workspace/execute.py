@@ -67,7 +67,14 @@ class Checkpoint:
         arrays = {f"state/{name}": np.asarray(value) for name, value in state.items()}
         name = self.path.stem
         write_artifact(
-            self.path, "checkpoint", arrays, stage=name, stage_version=STAGES[name].version, key=self.key, params={}, inputs={}
+            self.path,
+            "checkpoint",
+            arrays,
+            stage=name,
+            stage_version=STAGES[name].version,
+            key=self.key,
+            params={},
+            inputs={},
         )
 
 
@@ -121,7 +128,9 @@ def _parallel(
     bar = tqdm(total=len(units), desc=stage.name, leave=False, disable=None if len(units) > 1 else True)
     with bar:
         if jobs == 1 and options.backend == "local":
-            results: Iterable[Outcome] = (run_unit(run.folder, stage.name, u, options, threads, len(units) > 1) for u in units)
+            results: Iterable[Outcome] = (
+                run_unit(run.folder, stage.name, u, options, threads, len(units) > 1) for u in units
+            )
             return [outcome for outcome in results if bar.update() or True]
         import joblib
 
@@ -147,14 +156,14 @@ def run_unit(
             if (waited or not options.force) and run.state(stage, sequence) == "fresh":
                 return Outcome(stage_name, sequence, "cached", 0.0, _quality(run, stage, sequence))
             output = _make(run, stage, sequence, options, threads, quiet)
-        return Outcome(
-            stage_name, sequence, "done", time.monotonic() - start, output.quality, tuple(output.warnings)
-        )
+        return Outcome(stage_name, sequence, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
     except PiegraphError as error:
         return Outcome(stage_name, sequence, "failed", time.monotonic() - start, error=error)
     except Exception as error:
         log.debug("%s", traceback.format_exc())
-        bug = PiegraphError(f"{type(error).__name__}: {error}", f"bug in {stage_name}", f"the traceback is in {folder}/run.log")
+        bug = PiegraphError(
+            f"{type(error).__name__}: {error}", f"bug in {stage_name}", f"the traceback is in {folder}/run.log"
+        )
         bug.traceback = traceback.format_exc()  # type: ignore[attr-defined]
         return Outcome(stage_name, sequence, "failed", time.monotonic() - start, error=bug)
 
@@ -202,7 +211,9 @@ def _require_inputs(run: Run, stage: Stage) -> None:
     for name in stage.reads:
         if not any(n == name for n, _ in files):
             reasons = "; ".join(sorted({r["message"].splitlines()[0] for r in run.failures.values()}))
-            raise DataError(f"no sequence has {name}: {reasons}", str(run.folder), f"piegraph status --run {run.folder}")
+            raise DataError(
+                f"no sequence has {name}: {reasons}", str(run.folder), f"piegraph status --run {run.folder}"
+            )
 
 
 def _failed_earlier(run: Run, stage: Stage, sequence: str) -> bool:
@@ -258,7 +269,7 @@ def run_chain(folder: Path, until: str | None, options: Options) -> list[Outcome
         begin = time.monotonic()
         outcomes += run_stage(folder, stage, options)
         log.info("%-9s %6.1f s", stage.name, time.monotonic() - begin)
-        if stage.per == "run" and outcomes[-1].error or stage.name == until:
+        if (stage.per == "run" and outcomes[-1].error) or stage.name == until:
             break
     return outcomes
 

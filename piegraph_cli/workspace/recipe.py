@@ -19,7 +19,9 @@ if sys.version_info >= (3, 11):
 else:  # pragma: no cover
     import tomli as tomllib
 
-SHIPPED = next(p for p in (Path(__file__).parents[1] / "pipelines", Path(__file__).parents[2] / "pipelines") if p.is_dir())
+SHIPPED = next(
+    p for p in (Path(__file__).parents[1] / "pipelines", Path(__file__).parents[2] / "pipelines") if p.is_dir()
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,9 @@ class Recipe:
 
         Raises `UsageError` for unknown or wrong ones.
         """
-        replaced = {b for pair in stage.params.exclusive for a, b in (pair, pair[::-1]) if a in values and b not in values}
+        replaced = {
+            b for pair in stage.params.exclusive for a, b in (pair, pair[::-1]) if a in values and b not in values
+        }
         section = {k: v for k, v in self.sections.get(stage.name, {}).items() if k not in replaced} | dict(values)
         for name, file in _validate(stage, section, where).files().items():
             if name in values:
@@ -105,7 +109,11 @@ def _validate(stage: Stage, values: Mapping[str, Any], where: str) -> Params:
         problem = error.errors()[0]
         setting = ".".join([stage.name, *(str(part) for part in problem["loc"])])
         known = ", ".join(stage.params.model_fields)
-        hint = f"settings of {stage.name}: {known}" if problem["type"] == "extra_forbidden" else f"piegraph {stage.name} --help"
+        hint = (
+            f"settings of {stage.name}: {known}"
+            if problem["type"] == "extra_forbidden"
+            else f"piegraph {stage.name} --help"
+        )
         message = "unknown setting" if problem["type"] == "extra_forbidden" else problem["msg"]
         raise UsageError(f"{setting}: {message}", where, hint) from None
 

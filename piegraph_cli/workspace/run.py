@@ -68,7 +68,9 @@ class Run:
         params = self.recipe.params(STAGES["ingest"])
         assert isinstance(params, IngestParams)
         if params.recording is None:
-            raise UsageError("this run has no recording", str(self.folder), "piegraph ingest --recording FOLDER --run RUN")
+            raise UsageError(
+                "this run has no recording", str(self.folder), "piegraph ingest --recording FOLDER --run RUN"
+            )
         return params.recording
 
     def units(self, stage: Stage) -> list[str | None]:

@@ -84,7 +84,9 @@ def test_the_order_of_particles_does_not_matter(seed, head):
     order = torch.randperm(positions.shape[1], generator=torch.Generator().manual_seed(seed))
     net = network(head)
     with torch.no_grad():
-        torch.testing.assert_close(net(positions[:, order], strokes), net(positions, strokes)[:, order], atol=1e-9, rtol=1e-7)
+        torch.testing.assert_close(
+            net(positions[:, order], strokes), net(positions, strokes)[:, order], atol=1e-9, rtol=1e-7
+        )
 
 
 def test_reflection_is_no_symmetry():
@@ -92,7 +94,9 @@ def test_reflection_is_no_symmetry():
     mirror = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
     mirrored = torch.cat([strokes[:, :2] * mirror[:2], strokes[:, 2:4] * mirror[:2], strokes[:, 4:]], -1)
     with torch.no_grad():
-        assert not torch.allclose(network(True)(positions * mirror, mirrored), network(True)(positions, strokes) * mirror)
+        assert not torch.allclose(
+            network(True)(positions * mirror, mirrored), network(True)(positions, strokes) * mirror
+        )
 
 
 def test_only_the_action_head_moves_a_straight_rope_sideways():

@@ -12,7 +12,7 @@ LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
 
 
 def test_distances_in_centimetres():
-    moved = LINE + [0, 0.03, 0.04]
+    moved = LINE + np.array([0, 0.03, 0.04])
     assert particle_distance(moved, LINE) == pytest.approx(5)
     assert chamfer_distance(moved, LINE) == pytest.approx(10)
     assert chamfer_distance(LINE[::-1], LINE) == pytest.approx(0)
@@ -37,7 +37,20 @@ def test_the_bootstrap_interval_holds_the_mean_and_narrows():
 
 BOX = np.array([[x, y, z] for x in (0, 0.2) for y in (0, 0.1) for z in (0, 0.05)], float)
 FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
 )
 
 

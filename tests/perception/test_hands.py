@@ -101,7 +101,7 @@ def test_all_cameras_together_are_better_than_any_two():
         return np.sqrt(np.nanmean((track.keypoints - HANDS) ** 2))
 
     pairs = [error([a, b]) for a in range(4) for b in range(a)]
-    assert error([0, 1, 2, 3]) < 0.9 * min(pairs)
+    assert error([0, 1, 2, 3]) < 0.78 * min(pairs)
 
 
 def test_a_jump_is_dropped_and_filled():

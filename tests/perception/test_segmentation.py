@@ -1,12 +1,15 @@
 """Finding and following the object without weights, on ray-cast scenes whose masks are known."""
 
+import cv2
 import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.perception.colour import lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.seeds import SegmentParams, find_object
-from piegraph_cli.perception.segmentation import segment_sequence
+from piegraph_cli.perception.segmentation import ON_HAND, learn_object, object_score, segment_sequence
+from piegraph_cli.recording.camera import Camera
 from tests.perception.scene import WORKSPACE, pushing_sequence, render, ring_camera
 
 CAMERAS = [ring_camera(azimuth, f"c{n}") for n, azimuth in enumerate((0.4, 2.5))]
@@ -90,21 +93,42 @@ def test_a_block_of_the_tables_colour_is_found_and_followed_by_its_height(block)
     assert (iou(masks, block.object[0]) > 0.6).all()
 
 
-def test_a_sleeve_almost_of_the_objects_colour_is_left_out(block):
-    sleeve = [
-        np.where(h[..., None], [70, 100, 160], i).astype(np.uint8)
-        for h, i in zip(block.hand[0], block.images[0], strict=True)
-    ]
-    masks = block.segment(0, images=sleeve, hand_px=np.full((FRAMES, 21, 2), np.nan))
-    assert (masks & block.hand[0]).sum() < 0.1 * masks.sum()
+def test_the_hands_colour_is_learnt_as_what_is_not_the_object(block):
+    model = learn_object(
+        block.images[0], block.depths[0], CAMERAS[0], block.hand_px[:, 0], WORKSPACE, 0, block.object[0, 0]
+    )
+    skin = lab_bins(block.images[0][0])[block.hand[0, 0]]
+    blue = lab_bins(block.images[0][0])[block.object[0, 0]]
+    assert np.median(model.intruder[skin]) > np.median(model.object[skin]) + 5
+    assert np.median(model.object[blue]) > np.median(model.intruder[blue]) + 5
 
 
-def test_what_reaches_in_from_the_edge_is_no_object(block):
-    hand_px = np.full_like(block.hand_px, np.nan)
-    low = WORKSPACE.copy()
-    low[0, 1] = 0.25
-    seed = find_object(block.images, block.depths, CAMERAS, hand_px, low, PARAMS)
-    assert not (seed.masks & block.hand[:, seed.frame]).sum() > 0.1 * seed.masks.sum()
+def test_landmarks_speak_against_the_object(block):
+    seed, hand_px = block.object[0, 0], block.hand_px[:, 0]
+    model = learn_object(block.images[0], block.depths[0], CAMERAS[0], hand_px, WORKSPACE, 0, seed)
+    blind = np.zeros_like(block.depths[0][0])
+    grey = np.full_like(block.images[0][0], 128)
+    wide = np.array([[-9.0, 9], [-9, 9], [-9, 9]])
+    without, with_hand = (
+        object_score(grey, blind, CAMERAS[0], pixels, wide, seed, model, PARAMS)
+        for pixels in (np.full((21, 2), np.nan), hand_px[0])
+    )
+    difference = without - with_hand
+    region = hand_region(hand_px[0], blind, CAMERAS[0])
+    np.testing.assert_allclose(difference[cv2.erode(region.astype(np.uint8), np.ones((5, 5))) > 0], ON_HAND, atol=1e-4)
+    assert difference[cv2.dilate(region.astype(np.uint8), np.ones((5, 5))) == 0].max() == 0
+
+
+def test_what_reaches_in_from_the_edge_is_not_the_object():
+    down = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]])
+    camera = Camera("down", 200, 200, np.array([[300.0, 0, 99.5], [0, 300, 99.5], [0, 0, 1]]), np.zeros(5), down)
+    depth = np.full((200, 200), 1000, np.uint16)
+    depth[60:85, 60:85] = 970
+    depth[110:150, 60:] = 970
+    images, nobody = [[np.full((200, 200, 3), 128, np.uint8)]], np.full((1, 1, 21, 2), np.nan)
+    seed = find_object(images, [[depth]], [camera], nobody, WORKSPACE, PARAMS)
+    assert seed.masks[0, 62:83, 62:83].all()
+    assert not seed.masks[0, 110:].any()
 
 
 def test_a_hidden_object_leaves_an_empty_mask_and_is_found_again(block):

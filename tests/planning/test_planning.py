@@ -62,7 +62,15 @@ def test_cem_finds_the_stroke_that_carries_the_object_to_its_goal(horizon):
     motion = torch.tensor([0.06 * horizon, -0.07 * horizon, 0.0])
     cost = make_cost("distance", SQUARE + motion, 36)
     plan = plan_strokes(
-        SQUARE, carried, cost, SPACE, horizon=horizon, samples=200, iterations=8, elites=0.1, generator=torch.Generator()
+        SQUARE,
+        carried,
+        cost,
+        SPACE,
+        horizon=horizon,
+        samples=200,
+        iterations=8,
+        elites=0.1,
+        generator=torch.Generator(),
     )
     assert plan.cost < 0.01
     assert plan.strokes.shape == (horizon, 5)

@@ -24,6 +24,8 @@ def make_recording(folder: Path, sequences: int = 2, frames: int = 4, fps: float
         for k, camera in enumerate(cameras):
             for f in range(frames):
                 color = rng.integers(0, 255, (48, 64, 3), np.uint8)
-                write_frame(folder / f"seq {s}", camera, f, color, rng.integers(500, 900, (48, 64)).astype(np.uint16), 80)
+                write_frame(
+                    folder / f"seq {s}", camera, f, color, rng.integers(500, 900, (48, 64)).astype(np.uint16), 80
+                )
             write_times(folder / f"seq {s}", camera, np.arange(frames) / fps + 0.002 * k)
     return folder

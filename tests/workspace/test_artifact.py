@@ -23,7 +23,9 @@ def tracks(frames: int = 3, particles: int = 4) -> dict[str, np.ndarray]:
 
 
 def write(path, arrays, key="k"):
-    write_artifact(path, "tracks", arrays, stage="track", stage_version=1, key=key, params={"a": 1}, inputs={}, quality="q")
+    write_artifact(
+        path, "tracks", arrays, stage="track", stage_version=1, key=key, params={"a": 1}, inputs={}, quality="q"
+    )
 
 
 @pytest.fixture

@@ -56,7 +56,9 @@ def test_a_changed_setting_makes_only_what_depends_on_it_stale(tiny_run, tmp_pat
     run.recipe = run.recipe.with_values(STAGES["train"], {"seed": 5}, "test", folder)
     run.save_recipe()
     states = {row["stage"]: row["state"] for row in status(folder)}
-    assert states == dict.fromkeys(("simulate", "dataset"), "fresh") | dict.fromkeys(("train", "evaluate", "plan"), "stale")
+    assert states == dict.fromkeys(("simulate", "dataset"), "fresh") | dict.fromkeys(
+        ("train", "evaluate", "plan"), "stale"
+    )
 
 
 def test_stale_inputs_are_not_used(tiny_run, tmp_path):

@@ -1,0 +1,128 @@
+"""End to end on the sample recording: the figures that perception and tracking must reach, golden outputs, the report."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import REPOSITORY, SAMPLE, piegraph, piegraph_json
+
+from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.artifact import Artifact, read_artifact
+
+GOLDEN = Path(__file__).parent / "golden" / "sample.json"
+RECORDED = ("ingest", "hands", "segment", "fuse", "track", "dataset")
+
+
+def test_figures_against_the_truth(sample_run):
+    scores = {row["score"]: row for row in piegraph_json("evaluate", "--run", sample_run)["scores"]}
+    assert scores["frames with the hand found"]["mean"] >= 0.95
+    assert scores["object mask IoU"]["median"] >= 0.92
+    assert scores["end-effector error [mm]"]["median"] <= 10
+    assert scores["fused cloud to surface, median [mm]"]["median"] <= 4
+    assert scores["tracked particles at stroke ends [mm]"]["mean"] <= 5
+
+
+def test_every_stroke_of_the_sample_is_found(sample_run):
+    truth = sum(
+        len(set(read_artifact(p / "truth.h5", "truth")["stroke"]) - {-1}) for p in SAMPLE.iterdir() if p.is_dir()
+    )
+    assert len(read_artifact(sample_run / "dataset.h5", "dataset")["strokes"]) == truth
+
+
+def summary(artifact: Artifact) -> dict[str, list]:
+    """Shape, mean and deviation of every dataset: equal bytes on one machine, equal numbers on another."""
+    rows = {}
+    for name, value in artifact.arrays.items():
+        numbers = value.astype(float) if value.dtype.kind in "fiub" else np.zeros(1)
+        rows[name] = [list(value.shape), float(np.nanmean(numbers)), float(np.nanstd(numbers))]
+    return rows
+
+
+def measured(sample_run: Path) -> dict[str, dict]:
+    sequence = sorted(p.name for p in SAMPLE.iterdir() if p.is_dir())[0]
+    found = {}
+    for name in RECORDED:
+        stage = STAGES[name]
+        path = sample_run / f"{stage.writes}.h5" if stage.per == "run" else sample_run / stage.writes / f"{sequence}.h5"
+        found[name] = {"version": stage.version, "datasets": summary(read_artifact(path, stage.writes))}
+    return found
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_golden(sample_run, name):
+    """Outputs that change need a new stage version; then `python tests/test_sample.py RUN` writes the golden file anew."""
+    golden, found = json.loads(GOLDEN.read_text())[name], measured(sample_run)[name]
+    assert found["version"] == golden["version"], "the version was raised: write the golden file anew"
+    assert found["datasets"].keys() == golden["datasets"].keys()
+    for dataset, (shape, mean, deviation) in golden["datasets"].items():
+        message = (
+            f"{name} writes another {dataset}: raise its version in stages/__init__.py and write the golden file anew"
+        )
+        assert found["datasets"][dataset][0][1:] == shape[1:], message
+        assert found["datasets"][dataset][0][:1] == pytest.approx(shape[:1], rel=2e-3), message
+        assert found["datasets"][dataset][1:] == pytest.approx([mean, deviation], rel=2e-3, abs=2e-4), message
+
+
+def test_the_report_draws_every_kind_of_picture(sample_run, tmp_path):
+    folder = tmp_path / "run with space"
+    shutil.copytree(sample_run, folder)
+    pictures = {Path(p).name for p in piegraph_json("report", "--run", folder)["pictures"]}
+    sequence = sorted(p.name for p in SAMPLE.iterdir() if p.is_dir())[0]
+    expected = {f"{sequence}_{kind}.png" for kind in ("masks", "cloud", "tracks")} | {f"{sequence}.gif"}
+    assert pictures >= expected | {"training.png", "errors.png", "scores.png", "plan_0.png"}
+    assert all((folder / "report" / name).stat().st_size > 5000 for name in pictures)
+
+
+def one_sequence(folder: Path) -> Path:
+    """A recording of the sample's first sequence alone; returns the sequence."""
+    sequence = sorted(p for p in SAMPLE.iterdir() if p.is_dir())[0]
+    folder.mkdir()
+    shutil.copy(SAMPLE / "cameras.json", folder)
+    shutil.copytree(sequence, folder / sequence.name)
+    return folder / sequence.name
+
+
+def test_a_hand_never_seen_is_an_error_that_says_where(tmp_path):
+    sequence = one_sequence(tmp_path / "rec")
+    for camera in (p for p in sequence.iterdir() if p.is_dir()):
+        first = (camera / "color" / "000000.jpg").read_bytes()
+        for image in (camera / "color").iterdir():
+            image.write_bytes(first)
+    run = tmp_path / "run"
+    piegraph("ingest", "--run", run, "--recording", tmp_path / "rec")
+    done = piegraph("run", "--run", run, "--until", "track", check=3)
+    assert "no camera sees a hand in frames 0 to" in done.stderr
+    assert sequence.name in done.stderr
+    done = piegraph("run", "--run", run, check=3)
+    assert "no sequence has tracks" in done.stderr
+
+
+def test_an_object_never_seen_is_an_error_that_says_where(sample_run, tmp_path):
+    one_sequence(tmp_path / "rec")
+    run = tmp_path / "run"
+    piegraph("ingest", "--run", run, "--recording", tmp_path / "rec", "--workspace", "0.36,0.44,0.36,0.44,-0.02,0.3")
+    done = piegraph("run", "--run", run, "--until", "segment", check=3)
+    assert "no object found" in done.stderr
+    assert "try:" in done.stderr
+
+
+def test_the_papers_association_is_there_and_tracks_worse(sample_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(sample_run, folder)
+    piegraph(
+        "run", "--run", folder, "--set", "track.association=nearest", "--set", "train.steps=50", "--until", "evaluate"
+    )
+    nearest, soft = (
+        {r["score"]: r["mean"] for r in piegraph_json("evaluate", "--run", f)["scores"]} for f in (folder, sample_run)
+    )
+    score = "tracked particles at stroke ends [mm]"
+    assert nearest[score] > 2 * soft[score]
+
+
+if __name__ == "__main__":
+    import sys
+
+    GOLDEN.write_text(json.dumps(measured(Path(sys.argv[1])), indent=1) + "\n")
+    print(f"wrote {GOLDEN.relative_to(REPOSITORY)}")

@@ -6,7 +6,7 @@ Nothing heavy is imported here, so that `piegraph --help` answers at once. The c
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 def _split(value: object) -> object:
@@ -104,6 +104,12 @@ class TrackParams(Params):
     points: int = Field(800, ge=20, description="points a cloud is thinned to for the assignment")
     mode: Literal["push", "pick"] = Field("push", description="how the hand moves the object")
 
+    @model_validator(mode="after")
+    def _check_counts(self) -> "TrackParams":
+        if self.particles > self.tracked:
+            raise ValueError(f"{self.particles} particles cannot be exported of {self.tracked} tracked ones")
+        return self
+
     @property
     def turns(self) -> list[int]:
         """How many of the rounds each scale gets."""
@@ -139,27 +145,34 @@ class TrainParams(Params):
     seed: int = Field(0, ge=0, description="seed of weights and batches")
 
 
-class GuidanceSettings(Params):
-    """The spring-mass system that the network's prediction guides. Dimensionless gains: k dt^2/m and Kp dt^2/m."""
+class GuidanceParams(Params):
+    """How springs follow a setpoint. Gains are dimensionless: k dt^2/m for springs, Kp dt^2/m for the controller."""
+
+    stiffness: float = Field(0.15, ge=0, description="spring stiffness k dt^2/m")
+    gain: float = Field(0.03, ge=0, description="proportional gain Kp dt^2/m")
+    damping: float = Field(0.8, gt=0, le=1, description="velocity kept per step, delta")
+    integral: float = Field(0.0, ge=0, description="integral gain; above 0, convergence undoes the guidance")
+    integral_limit: float = Field(0.1, ge=0, description="longest summed error of a particle [m x iterations]")
+    derivative: float = Field(0.0, ge=0, description="derivative gain")
+    friction: float = Field(0.0, ge=0, description="Coulomb coefficient of the table")
+    iterations: int = Field(200, ge=1, description="most iterations of the springs")
+    tolerance: float = Field(1e-5, ge=0, description="springs are at rest below this motion per iteration [m]")
+
+
+class PredictionParams(GuidanceParams):
+    """What a prediction by name needs: the springs' reach beside the guidance."""
 
     spring_radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
-    stiffness: float = Field(0.15, gt=0, description="spring stiffness k dt^2/m")
-    gain: float = Field(0.03, gt=0, description="proportional gain Kp dt^2/m")
-    integral_gain: float = Field(0.0, ge=0, description="integral gain; above 0, convergence undoes the guidance")
-    derivative_gain: float = Field(0.0, ge=0, description="derivative gain")
-    damping: float = Field(0.8, gt=0, lt=1, description="velocity kept per step, delta")
-    guidance_iterations: int = Field(200, ge=1, description="most iterations of one guidance")
-    tolerance: float = Field(1e-5, gt=0, description="guidance has converged below this motion per iteration [m]")
 
 
-class EvaluateParams(GuidanceSettings):
+class EvaluateParams(PredictionParams):
     """Settings of `evaluate`."""
 
     models: Names = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
 
 
-class PlanParams(GuidanceSettings):
+class PlanParams(PredictionParams):
     """Settings of `plan`."""
 
     exclusive = (("env", "state"), ("goal", "goal_pose"))
@@ -174,7 +187,7 @@ class PlanParams(GuidanceSettings):
     )
     horizon: int = Field(1, ge=1, description="strokes planned ahead")
     samples: int = Field(100, ge=4, description="candidates per CEM iteration")
-    iterations: int = Field(5, ge=1, description="CEM iterations")
+    cem_iterations: int = Field(5, ge=1, description="CEM iterations")
     elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites")
     strokes: int = Field(13, ge=1, description="most strokes in one episode")
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")

@@ -46,7 +46,7 @@ horizons = [1, 2]
 [plan]
 env = "tblock"
 samples = 12
-iterations = 2
+cem_iterations = 2
 strokes = 2
 """
 

@@ -8,8 +8,9 @@ import torch
 from piegraph_cli.dynamics.action import check_strokes
 from piegraph_cli.dynamics.egnn import EGNN, nearest_neighbors
 from piegraph_cli.errors import UsageError
-from piegraph_cli.params import GuidanceSettings
-from piegraph_cli.physics.simulation import GuidanceParams, guide, rigid_projection
+from piegraph_cli.params import PredictionParams
+from piegraph_cli.physics.rigid import rigid_projection
+from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
 
 Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -22,25 +23,16 @@ class Model:
 
     help: str
     network: bool
-    correction: Callable[[torch.Tensor, GuidanceSettings], Correct] | None = None
+    correction: Callable[[torch.Tensor, PredictionParams], Correct] | None = None
     """Given the rest state [N, 3], makes the function (state, setpoint) -> prediction, all [B, N, 3]."""
 
 
-def _guided(rest: torch.Tensor, params: GuidanceSettings) -> Correct:
+def _guided(rest: torch.Tensor, params: PredictionParams) -> Correct:
     graph = build_springs(rest.cpu().numpy(), params.spring_radius)
-    guidance = GuidanceParams(
-        stiffness=params.stiffness,
-        gain=params.gain,
-        damping=params.damping,
-        integral=params.integral_gain,
-        derivative=params.derivative_gain,
-        iterations=params.guidance_iterations,
-        tolerance=params.tolerance,
-    )
-    return lambda positions, setpoint: guide(positions, setpoint, graph, guidance)
+    return lambda positions, setpoint: guide(positions, setpoint, graph, params)
 
 
-def _rigid(rest: torch.Tensor, params: GuidanceSettings) -> Correct:
+def _rigid(rest: torch.Tensor, params: PredictionParams) -> Correct:
     return lambda positions, setpoint: rigid_projection(rest, setpoint)
 
 
@@ -59,7 +51,7 @@ def find_model(name: str) -> Model:
     return MODELS[name]
 
 
-def make_predict(name: str, network: EGNN | None, rest: torch.Tensor, params: GuidanceSettings) -> Predict:
+def make_predict(name: str, network: EGNN | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
     """The predict function of a model for one object, whose rest state [N, 3] (m) gives springs and neighbours.
 
     One neighbour list serves every prediction: it is cheaper than a new one per state, and more accurate over several

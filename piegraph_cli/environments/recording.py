@@ -15,7 +15,7 @@ from piegraph_cli.environments.tblock import FRAME_RATE
 from piegraph_cli.recording.camera import Camera
 
 _LIFT = 0.085
-_TRAVEL = 0.1
+_TRAVEL = 0.09
 _AWAY = np.array([0.06, -0.38, 0.16])
 _EMPTY = 2
 _BLOCK_COLOR = (0.035, 0.13, 0.52)
@@ -107,7 +107,7 @@ def plan_moments(env, seed: int, strokes: int, hand: Hand) -> list[Moment]:
 
 
 def _transit(before: tuple, after: tuple) -> list[tuple]:
-    """Frames strictly between two moments: up, over, down, at most `_TRAVEL` metres a frame."""
+    """Frames strictly between two moments: up, over, down, about `_TRAVEL` metres a frame, slower at both ends."""
     pose, start, from_grip, _ = before
     _, end, to_grip, _ = after
     height = max(TIP_HEIGHT + _LIFT, start[2], end[2])
@@ -115,7 +115,8 @@ def _transit(before: tuple, after: tuple) -> list[tuple]:
     reach = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     count = max(3, math.ceil(reach[-1] / _TRAVEL))
     entries = []
-    for share in (np.arange(1, count) / count).tolist():
+    even = np.arange(1, count) / count
+    for share in (even**2 * (3 - 2 * even)).tolist():
         tip = np.array([np.interp(share * reach[-1], reach, corners[:, axis]) for axis in range(3)])
         heading = (1 - share) * from_grip.heading + share * to_grip.heading
         grip = Grip(heading, (1 - share) * from_grip.steep + share * to_grip.steep)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import SegmentParams
 from piegraph_cli.perception.clouds import flying_pixels, world_map
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.recording.camera import Camera
@@ -18,18 +19,6 @@ MAX_TRIED = 24
 """Frames looked at before the best so far is taken."""
 EDGE = 0.012
 """Depth steps (m) above this one are edges."""
-
-
-@dataclass(frozen=True)
-class SegmentParams:
-    """Thresholds of the segmentation."""
-
-    min_height: float = 0.006
-    """Height (m) above the table from which depth alone tells object from table."""
-    min_contrast: float = 0.25
-    """Difference in colour from the table (natural log of channel ratios) from which colour alone does."""
-    min_area: float = 4e-4
-    """Smallest object (m2 of table covered)."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +157,9 @@ def _vote(views: Sequence[_View], workspace: np.ndarray, params: SegmentParams) 
     parts, count = label(solid, np.ones((3, 3)))
     area = np.bincount(parts.ravel(), minlength=count + 1) * CELL**2
     area[0] = 0
-    at_edge = np.unique(np.concatenate([parts[[0, -1]].ravel(), parts[:, [0, -1]].ravel()]))
+    inner = np.zeros(shape, bool)
+    inner[2:-3, 2:-3] = True
+    at_edge = np.unique(parts[~inner])
     score = area.copy()
     score[at_edge] *= 0.1
     chosen = int(np.argmax(score))

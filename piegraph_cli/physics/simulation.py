@@ -16,46 +16,12 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.physics.rigid import kabsch, rigid_projection
+from piegraph_cli.params import GuidanceParams
 from piegraph_cli.physics.springs import SpringGraph, stability_bound
-
-__all__ = ["GuidanceParams", "PushParams", "check_stability", "drive", "guide", "kabsch", "push", "rigid_projection"]
 
 CHUNK = 128  # candidates simulated together, so that the arrays of their springs stay in the cache
 CHECK_EVERY = 10  # iterations between two tests for convergence
 SHORTEST = 1e-6  # metres; below it a spring has no direction worth a force
-
-
-@dataclass(frozen=True)
-class GuidanceParams:
-    """How the springs follow a setpoint. A test of stability is made when they meet a graph."""
-
-    stiffness: float = 0.15
-    """α = k dt²/m of every spring, dimensionless."""
-    gain: float = 0.03
-    """Proportional gain κ = Kp dt²/m, dimensionless."""
-    damping: float = 0.8
-    """δ, the share of a velocity kept per iteration, dimensionless, in (0, 1]."""
-    integral: float = 0.0
-    """Integral gain KI dt³/m, dimensionless. Any value above 0, run to convergence, returns the raw setpoint and so
-    undoes the guidance, up to `integral_limit`."""
-    integral_limit: float = 0.1
-    """Anti-windup: the longest summed error of a particle, metres × iterations."""
-    derivative: float = 0.0
-    """Derivative gain KD dt/m, dimensionless."""
-    friction: float = 0.0
-    """Coulomb coefficient of the table, dimensionless."""
-    iterations: int = 200
-    """At most this many iterations."""
-    tolerance: float = 1e-5
-    """Stop when no particle moves further per iteration, metres."""
-
-    def __post_init__(self):
-        if self.iterations < 1:
-            raise UsageError(f"guidance needs at least 1 iteration, got {self.iterations}")
-        for name in ("stiffness", "gain", "integral", "integral_limit", "derivative", "friction", "tolerance"):
-            if not getattr(self, name) >= 0:
-                raise UsageError(f"guidance {name} is {getattr(self, name)}, expected 0 or more")
 
 
 @dataclass(frozen=True)
@@ -71,7 +37,7 @@ class PushParams:
     gravity: float = 0.0
     """g dt², metres per iteration squared."""
     radius: float = 0.01
-    """Radius of the pusher, metres."""
+    """Radius of the pusher, metres. It slips between particles further apart than its width: add half their spacing."""
 
 
 class _Product(torch.autograd.Function):
@@ -178,7 +144,7 @@ def guide(
         raise DataError(
             f"setpoint {tuple(setpoint.shape)} for positions {tuple(positions.shape)}: unequal or not finite"
         )
-    largest = 1.0 if weights is None else float(weights.max())
+    largest = 1.0 if weights is None else float(weights.detach().max())
     check_stability(graph, params, largest)
     single = positions.dim() == 2
     states, targets = (a[None] if single else a for a in (positions, setpoint))

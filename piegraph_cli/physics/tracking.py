@@ -6,8 +6,7 @@ surface have a small one too, so it is no measure of accuracy.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,8 +14,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import GuidanceParams, TrackParams
 from piegraph_cli.physics.association import SoftAssignment, align, thin
-from piegraph_cli.physics.simulation import GuidanceParams, check_stability, drive, guide
+from piegraph_cli.physics.simulation import check_stability, drive, guide
 from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
 
 FEWEST_POINTS = 20  # a cloud of fewer says too little about a pose: the frame counts as unseen
@@ -26,43 +26,6 @@ LEAST_RADIUS = 0.03  # metres, of the springs
 SETTLED = 1e-4  # metres; assignment goes on to the next scale once no particle moves further in a round
 CROWD = 8  # neighbours by which a point counts as part of the object
 STRAY = 2.5  # times the usual distance to them, beyond which it does not
-
-
-@dataclass(frozen=True)
-class TrackParams:
-    """How particles follow the clouds."""
-
-    association: Literal["soft", "nearest"] = "soft"
-    """Setpoints by soft assignment of every point to all particles, or by each particle's nearest point (the paper)."""
-    particles: int = 50
-    """How many particles are returned."""
-    tracked: int = 150
-    """How many particles soft assignment tracks, the returned ones among them. `nearest` tracks no others."""
-    stiffness: float = 0.15
-    """α = k dt²/m of the springs, dimensionless; where it exceeds 0.8 of the stability bound, that is taken."""
-    gain: float = 0.03
-    """κ = Kp dt²/m, dimensionless."""
-    damping: float = 0.8
-    """δ, the share of a velocity kept per iteration, dimensionless."""
-    rounds: int = 20
-    """Assignments per frame."""
-    iterations: int = 10
-    """Iterations of the springs after each assignment."""
-    scales: tuple[float, ...] = (0.020, 0.012, 0.008)
-    """Widths σ of the assignment, metres, in turn over the rounds."""
-    points: int = 800
-    """A cloud is thinned to this many points for the assignment."""
-
-    def __post_init__(self):
-        if not 1 <= self.particles <= self.tracked:
-            raise UsageError(f"{self.particles} particles to return of {self.tracked} tracked ones")
-        if not 1 <= len(self.scales) <= self.rounds or min(self.scales) <= 0 or self.iterations < 1:
-            raise UsageError(f"{self.rounds} rounds of {self.iterations} iterations over the scales {self.scales} m")
-
-    @property
-    def turns(self) -> list[int]:
-        """How many of the rounds each scale gets."""
-        return [len(part) for part in np.array_split(np.arange(self.rounds), len(self.scales))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +59,8 @@ def choose_particles(cloud: np.ndarray, count: int) -> np.ndarray:
     left out. No particle lies below the table. Raises DataError for too few points.
     """
     cloud = np.asarray(cloud, np.float64)
+    if len(cloud) < count:
+        raise DataError(f"{len(cloud)} points, but {count} particles are to be chosen among them")
     reach = cKDTree(cloud).query(cloud, k=min(CROWD, len(cloud)))[0].reshape(len(cloud), -1)[:, -1]
     kept = cloud[reach <= STRAY * np.median(reach)]
     kept[:, 2] = kept[:, 2].clip(min=0)
@@ -184,9 +149,9 @@ class _Follower:
         self.positions = torch.as_tensor(first, dtype=torch.float32)
         self.graph = build_springs(first, spring_radius(first))
         stiffness = min(params.stiffness, 0.8 * stability_bound(self.graph, params.damping, GRASP_GAIN * params.gain))
-        self.settling = GuidanceParams(stiffness, params.gain, params.damping)
+        self.settling = GuidanceParams(stiffness=stiffness, gain=params.gain, damping=params.damping)
         check_stability(self.graph, self.settling, GRASP_GAIN)
-        self.moving = replace(self.settling, iterations=params.iterations)
+        self.moving = self.settling.model_copy(update={"iterations": params.iterations})
         self.soft = SoftAssignment(self.positions, thin(cloud, params.points), params.scales) if soft else None
 
     def follow(self, cloud: np.ndarray, grip: "_Grip") -> Tensor:

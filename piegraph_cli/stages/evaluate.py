@@ -26,7 +26,7 @@ def run(inputs: dict[str, Any], params: EvaluateParams, context: Context) -> Out
     """Measure every model on every window of held-out strokes."""
     for name in params.models:
         find_model(name)
-    torch.set_num_threads(context.threads)
+    torch.set_num_threads(1)
     data, network = inputs["dataset"], read_network(inputs["model"])
     names = data.texts("sequence_name")
     rows: dict[str, list] = {name: [] for name in ("model", "horizon", "sequence", "first_stroke", *METRICS)}

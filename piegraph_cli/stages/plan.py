@@ -29,7 +29,7 @@ def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Ou
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
-    torch.set_num_threads(context.threads)
+    torch.set_num_threads(1)
     network, particles = read_network(inputs["model"]), int(inputs["model"]["particles"])
     if params.state is not None:
         episodes = [_plan_once(network, particles, params)]
@@ -98,7 +98,7 @@ def _planner(
             space,
             horizon=params.horizon,
             samples=params.samples,
-            iterations=params.iterations,
+            iterations=params.cem_iterations,
             elites=params.elites,
             generator=generator,
         )

@@ -13,7 +13,7 @@ from piegraph_cli.workspace.artifact import read_key, write_artifact
 from piegraph_cli.workspace.execute import Context, Output
 
 RECORDING_VERSION = 1
-JPEG_QUALITY = 90
+JPEG_QUALITY = 82
 
 
 def run(inputs: dict[str, Any], params: SimulateParams, context: Context) -> Output:

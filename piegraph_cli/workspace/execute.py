@@ -1,7 +1,6 @@
 """Running stages: skip what is fresh, take the lock, read, call, write; over sequences in parallel; failures kept apart."""
 
 import logging
-import os
 import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
@@ -36,7 +35,6 @@ class Context:
     run: Run
     sequence: str | None
     device: str
-    threads: int
     checkpoint: "Checkpoint"
     quiet: bool
 
@@ -110,8 +108,7 @@ def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
     todo = [u for u in units if options.force or run.state(stage, u) != "fresh"]
     outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in todo]
     jobs = max(1, min(options.jobs, len(todo)))
-    threads = max(1, (os.cpu_count() or 1) // jobs)
-    outcomes += _parallel(run, stage, todo, options, jobs, threads)
+    outcomes += _parallel(run, stage, todo, options, jobs)
     failed = {o.sequence: o.error for o in outcomes if o.error}
     if todo:
         run.record_failures(stage, failed)
@@ -120,17 +117,13 @@ def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
     return sorted(outcomes, key=lambda o: o.sequence or "")
 
 
-def _parallel(
-    run: Run, stage: Stage, units: list[str | None], options: Options, jobs: int, threads: int
-) -> list[Outcome]:
+def _parallel(run: Run, stage: Stage, units: list[str | None], options: Options, jobs: int) -> list[Outcome]:
     from tqdm import tqdm
 
     bar = tqdm(total=len(units), desc=stage.name, leave=False, disable=None if len(units) > 1 else True)
     with bar:
         if jobs == 1 and options.backend == "local":
-            results: Iterable[Outcome] = (
-                run_unit(run.folder, stage.name, u, options, threads, len(units) > 1) for u in units
-            )
+            results: Iterable[Outcome] = (run_unit(run.folder, stage.name, u, options, len(units) > 1) for u in units)
             return [outcome for outcome in results if bar.update() or True]
         import joblib
 
@@ -140,13 +133,11 @@ def _parallel(
             register_ray()
         with joblib.parallel_config(backend="ray" if options.backend == "ray" else "loky", n_jobs=jobs):
             parallel = joblib.Parallel(return_as="generator")
-            work = parallel(joblib.delayed(run_unit)(run.folder, stage.name, u, options, threads, True) for u in units)
+            work = parallel(joblib.delayed(run_unit)(run.folder, stage.name, u, options, True) for u in units)
             return [outcome for outcome in work if bar.update() or True]
 
 
-def run_unit(
-    folder: Path, stage_name: str, sequence: str | None, options: Options, threads: int, quiet: bool = True
-) -> Outcome:
+def run_unit(folder: Path, stage_name: str, sequence: str | None, options: Options, quiet: bool = True) -> Outcome:
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
     stage, run, start = STAGES[stage_name], Run.open(folder), time.monotonic()
     try:
@@ -155,7 +146,7 @@ def run_unit(
             remove_leftovers(path)
             if (waited or not options.force) and run.state(stage, sequence) == "fresh":
                 return Outcome(stage_name, sequence, "cached", 0.0, _quality(run, stage, sequence))
-            output = _make(run, stage, sequence, options, threads, quiet)
+            output = _make(run, stage, sequence, options, quiet)
         return Outcome(stage_name, sequence, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
     except PiegraphError as error:
         return Outcome(stage_name, sequence, "failed", time.monotonic() - start, error=error)
@@ -168,7 +159,7 @@ def run_unit(
         return Outcome(stage_name, sequence, "failed", time.monotonic() - start, error=bug)
 
 
-def _make(run: Run, stage: Stage, sequence: str | None, options: Options, threads: int, quiet: bool) -> Output:
+def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet: bool) -> Output:
     key = run.key(stage, sequence)
     files = run.inputs(stage, sequence)
     inputs: dict[str, Any] = {}
@@ -179,7 +170,7 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, thread
         else:
             inputs[name] = artifact
     checkpoint = Checkpoint(run.folder / "checkpoints" / f"{stage.name}.h5", key)
-    context = Context(run, sequence, options.device, threads, checkpoint, quiet)
+    context = Context(run, sequence, options.device, checkpoint, quiet)
     params = run.recipe.params(stage)
     output = stage.load()(inputs, params, context)
     write_artifact(

@@ -50,7 +50,7 @@ def block_recording(frames: int = 14, seed: int = 0) -> tuple[list[np.ndarray], 
 
 
 def rope(bend: float) -> np.ndarray:
-    """The upper half of a rope, 30 cm long, 8 mm in radius, bent to an arc of `bend` rad; the same points for any bend."""
+    """The upper half of a rope, 30 cm long, 8 mm in radius, bent to an arc of `bend` rad; same points for any bend."""
     rng = np.random.default_rng(1)
     along, around = rng.uniform(-0.15, 0.15, 1500), rng.uniform(0, np.pi, 1500)
     across, up = 0.008 * np.cos(around), 0.008 * (1 + np.sin(around))

@@ -4,8 +4,9 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from piegraph_cli.params import GuidanceParams
 from piegraph_cli.physics.rigid import kabsch, rigid_projection
-from piegraph_cli.physics.simulation import GuidanceParams, guide
+from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs, stability_bound
 from tests.physics.objects import particles
 
@@ -45,7 +46,7 @@ def test_guidance_of_a_stiff_object_is_its_rigid_projection():
     setpoint = rest @ turn.transpose(1, 2) + torch.as_tensor(rng.uniform(0.05, 0.1, (3, 1, 3)))
     noisy = setpoint + torch.as_tensor(rng.normal(0, 0.01, setpoint.shape))
     stiffness = 0.9 * stability_bound(graph, 0.8, 0.001)
-    guided = guide(rest, noisy, graph, GuidanceParams(stiffness, 0.001, iterations=2000, tolerance=1e-7))
+    guided = guide(rest, noisy, graph, GuidanceParams(stiffness=stiffness, gain=0.001, iterations=2000, tolerance=1e-7))
     projected = rigid_projection(rest, noisy)
     apart = (guided - projected).norm(dim=2).mean()
     assert float(apart) < 0.05 * float((noisy - projected).norm(dim=2).mean())

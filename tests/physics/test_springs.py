@@ -7,7 +7,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.physics.simulation import GuidanceParams, drive
+from piegraph_cli.params import GuidanceParams
+from piegraph_cli.physics.simulation import drive
 from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
 from tests.physics.objects import particles
 
@@ -46,7 +47,9 @@ def test_one_particle_and_coincident_particles():
 def test_the_bound_parts_convergence_from_divergence(share, stable, gain):
     graph = build_springs(particles(), 0.05)
     linear = SpringGraph(graph.pairs, np.zeros(len(graph.pairs)), graph.particles)  # without rest lengths: exact
-    params = GuidanceParams(share * stability_bound(linear, 0.8, gain), gain, iterations=1500, tolerance=0)
+    params = GuidanceParams(
+        stiffness=share * stability_bound(linear, 0.8, gain), gain=gain, iterations=1500, tolerance=0
+    )
     setpoint = torch.full((50, 3), 0.5, dtype=torch.float64)
     start = setpoint + 0.01 * torch.randn((50, 3), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     end, _ = drive(start, torch.zeros_like(start), setpoint, linear, params, torch.ones(50, dtype=torch.float64))
@@ -57,7 +60,7 @@ def test_the_bound_parts_convergence_from_divergence(share, stable, gain):
 def test_rest_lengths_only_make_springs_softer():
     positions = particles()
     graph = build_springs(positions, 0.05)
-    params = GuidanceParams(0.999 * stability_bound(graph, 0.8, 0.03), iterations=1500, tolerance=0)
+    params = GuidanceParams(stiffness=0.999 * stability_bound(graph, 0.8, 0.03), iterations=1500, tolerance=0)
     start = torch.as_tensor(positions + np.random.default_rng(0).normal(0, 0.005, positions.shape))
     end, velocity = drive(start, 0 * start, torch.as_tensor(positions), graph, params, torch.ones(50).double())
     assert float(velocity.abs().max()) < 1e-6

@@ -78,7 +78,7 @@ def test_a_second_process_waits_and_then_finds_it_done(tiny_run, tmp_path):
     dataset.rename(tmp_path / "kept.h5")
     outcomes = []
     with Run.open(folder).lock("dataset"):
-        thread = threading.Thread(target=lambda: outcomes.append(run_unit(folder, "dataset", None, Options(), 1)))
+        thread = threading.Thread(target=lambda: outcomes.append(run_unit(folder, "dataset", None, Options())))
         thread.start()
         time.sleep(0.5)
         assert not outcomes

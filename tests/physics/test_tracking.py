@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.association import SoftAssignment, align, soft_means, thin
@@ -96,9 +97,9 @@ def test_bad_clouds_are_named(block):
 
 
 def test_bad_parameters_are_refused(block):
-    with pytest.raises(UsageError, match="60 particles"):
+    with pytest.raises(ValidationError, match="60 particles"):
         TrackParams(particles=60, tracked=50)
-    with pytest.raises(UsageError, match="scales"):
+    with pytest.raises(ValidationError, match="scales"):
         TrackParams(scales=(0.01, 0.0))
     with pytest.raises(UsageError, match="missing"):
         track(block[0][:1], grasp=np.ones(1, bool))

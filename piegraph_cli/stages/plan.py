@@ -14,7 +14,7 @@ from piegraph_cli.physics.springs import farthest_point_sample
 from piegraph_cli.planning.cem import Plan, plan_strokes
 from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.mpc import Step, run_episode
-from piegraph_cli.planning.proposals import PushSpace
+from piegraph_cli.planning.proposals import PushSpace, solid_edges
 from piegraph_cli.stages.train import read_network
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.execute import Context, Output
@@ -87,7 +87,8 @@ def _planner(
     kind = params.cost if params.cost != "auto" else "distance" if corresponds else "chamfer"
     cost = make_cost(kind, torch.as_tensor(goal), len(state))
     predict = make_predict(params.model, network, torch.as_tensor(state), params)
-    space = PushSpace(params.min_length, params.max_length, params.pusher_radius, params.workspace)
+    edges = solid_edges(torch.as_tensor(state))
+    space = PushSpace(edges, params.min_length, params.max_length, params.pusher_radius, params.workspace)
     generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
 
     def make_plan(positions: torch.Tensor) -> Plan:

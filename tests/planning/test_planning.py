@@ -1,6 +1,7 @@
 """Proposals touch the object, costs measure what they say, CEM finds known optima, the loop stops when it is done."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.planning.cem import plan_strokes
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.mpc import run_episode
-from piegraph_cli.planning.proposals import CLEARANCE, PushSpace, half_spacing
+from piegraph_cli.planning.proposals import CLEARANCE, MARGIN, PushSpace, solid_edges
 
-SPACE = PushSpace(0.02, 0.14, 0.01, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
 SQUARE = torch.tensor([[x, y, 0.0] for x in np.linspace(-0.05, 0.05, 6) for y in np.linspace(-0.05, 0.05, 6)]).float()
+SPACE = PushSpace(solid_edges(SQUARE), 0.02, 0.14, 0.01, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
 
 
 def carried(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
@@ -26,8 +27,7 @@ def test_a_push_starts_just_off_the_object_and_heads_where_it_says():
     proposal = torch.tensor([[0.0, 0.0, 0.1], [math.pi / 2, 1.0, 0.05]])
     strokes, feasible = SPACE.strokes(SQUARE.expand(2, -1, -1), proposal)
     assert feasible.all()
-    radius = SPACE.pusher_radius + half_spacing(SQUARE)
-    assert -0.05 - radius - CLEARANCE - 1e-6 <= strokes[0, 0] <= -0.05 - CLEARANCE
+    assert strokes[0, 0].item() == pytest.approx(-0.05 - SPACE.pusher_radius - MARGIN - CLEARANCE, abs=1e-3)
     torch.testing.assert_close(strokes[0, 2] - strokes[0, 0], torch.tensor(0.1))
     torch.testing.assert_close(strokes[1, [0, 2]], torch.tensor([-0.05, -0.05]))
     distances = (SQUARE[:, :2] - strokes[0, :2]).norm(dim=-1)
@@ -41,8 +41,18 @@ def test_strokes_out_of_the_workspace_are_infeasible():
 
 def test_a_gap_in_the_object_may_be_missed():
     apart = torch.cat([SQUARE + torch.tensor([0.0, s * 0.2, 0.0]) for s in (-1, 1)])
-    _, feasible = SPACE.strokes(apart[None], torch.tensor([[0.0, 0.0, 0.1]]))
+    space = replace(SPACE, edges=solid_edges(apart))
+    _, feasible = space.strokes(apart[None], torch.tensor([[0.0, 0.0, 0.1]]))
     assert not feasible.any()
+
+
+def test_the_pusher_does_not_slip_between_sparse_particles():
+    sparse = SQUARE * 3
+    space = replace(SPACE, edges=solid_edges(sparse))
+    between = torch.tensor([[0.0, 0.1, 0.1], [0.0, 0.2, 0.1], [0.0, -0.3, 0.1]])
+    strokes, feasible = space.strokes(sparse.expand(3, -1, -1), between)
+    assert feasible.all()
+    assert (strokes[:, 0] < -0.15).all()
 
 
 def test_costs():

@@ -10,6 +10,9 @@ from piegraph_cli.recording.camera import Camera
 NEIGHBOURS, DEVIATIONS = 16, 2.0
 """Outlier removal: a point farther from its neighbours than the cloud's mean plus this many deviations is dropped."""
 
+SPIKE = 3
+"""Clearances that one frame alone may lie high without being a lift."""
+
 
 def world_map(depth: np.ndarray, camera: Camera) -> np.ndarray:
     """World points [H, W, 3] float32 (m) of a depth image [H, W] in the camera's units; NaN where it reads 0."""
@@ -76,18 +79,19 @@ def fuse(
 
 
 def contact(
-    end_effector: np.ndarray, clouds: Sequence[np.ndarray], radius: float = 0.03, clearance: float = 0.03
+    end_effector: np.ndarray, clouds: Sequence[np.ndarray], radius: float = 0.03, clearance: float = 0.015
 ) -> np.ndarray:
     """Frames [F] bool in which the hand handles the object, from its end-effector [F, 3] (m) and the clouds [P, 3].
 
     Handling begins and ends with frames within twice `radius` (m) of the cloud seen from above and lower than its top
     plus `clearance` (m), so that it holds the object at rest before it moves; it needs one frame within `radius`.
+    A height that leaps up to three times the clearance in one frame alone is an error of measurement, not a lift.
     A frame with unknown end-effector (NaN) or empty cloud does not interrupt it; a single frame alone does not count.
     """
     from scipy.ndimage import label
 
     gap, above = _distances(end_effector, clouds)
-    low = above <= clearance
+    low = (above <= clearance) | ((_without_spikes(above) <= clearance) & (above <= SPIKE * clearance))
     unknown = ~np.isfinite(gap)
     close = low & (gap <= 2 * radius)
     between = np.zeros_like(close)
@@ -99,6 +103,14 @@ def contact(
         if run.sum() > 1 and (gap[run & close] <= radius).any():
             handled |= run
     return handled
+
+
+def _without_spikes(values: np.ndarray) -> np.ndarray:
+    """The median of each value [F] and its neighbours; NaN stays NaN, the ends stay as they are."""
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    windows = np.stack([padded[:-2], values, padded[2:]])
+    known = np.where(np.isfinite(windows), windows, values)
+    return np.median(known, axis=0)
 
 
 def _distances(end_effector: np.ndarray, clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

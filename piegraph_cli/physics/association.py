@@ -45,6 +45,13 @@ def align(positions: Tensor, cloud: Tensor, rounds: int = 10) -> Tensor:
     return positions
 
 
+def misfit(positions: Tensor, cloud: Tensor) -> float:
+    """Mean distance (m) between particles [N, 3] and a cloud [P, 3], both ways, each without its farthest fifth."""
+    distance = torch.cdist(positions, cloud)
+    sides = (distance.amin(1), distance.amin(0))
+    return sum(float(side.sort().values[: max(1, int(TRIM * len(side)))].mean()) for side in sides) / 2
+
+
 def soft_means(positions: Tensor, cloud: Tensor, scale: float) -> tuple[Tensor, Tensor]:
     """Mean of the points [P, 3] assigned to each particle [N, 3], and the sum of their weights: [N, 3] m, [N].
 

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import GuidanceParams, TrackParams
-from piegraph_cli.physics.association import SoftAssignment, align, thin
+from piegraph_cli.physics.association import SoftAssignment, align, misfit, thin
+from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.simulation import check_stability, drive, guide
 from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
 
@@ -24,6 +25,7 @@ GRASP_RADIUS = 0.02  # metres from the hand to the particles it holds
 GRASP_GAIN = 3.0  # gain of a held particle, times that of a seen one
 LEAST_RADIUS = 0.03  # metres, of the springs
 SETTLED = 1e-4  # metres; assignment goes on to the next scale once no particle moves further in a round
+RIGID_ENOUGH = 1.05  # times the misfit of the deformed shape up to which the undeformed one is taken
 CROWD = 8  # neighbours by which a point counts as part of the object
 STRAY = 2.5  # times the usual distance to them, beyond which it does not
 
@@ -186,7 +188,19 @@ class _Follower:
                 self.positions, velocity = drive(before, velocity, setpoint, self.graph, self.moving, gain)
                 if float((self.positions - before).abs().max()) < SETTLED:
                     break
+        if not grip.holds:
+            self._prefer_rest_shape(soft.rest, cloud)
         return seen
+
+    def _prefer_rest_shape(self, rest: Tensor, cloud: Tensor) -> None:
+        """Take the first frame's shape, moved rigidly, where it explains the cloud as well.
+
+        What a hand hides pulls its surroundings out of shape, and springs can fold over and stay folded; a shape that
+        nothing asks for is dropped here, so it is not carried on. Objects that did bend are explained worse by it.
+        """
+        rigid = align(rigid_projection(rest, self.positions[None])[0], cloud)
+        if misfit(rigid, cloud) <= RIGID_ENOUGH * misfit(self.positions, cloud):
+            self.positions = rigid
 
 
 class _Grip:

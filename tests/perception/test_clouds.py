@@ -151,3 +151,10 @@ def test_contact_without_any_hand_or_frame():
     assert not contact(np.full((3, 3), np.nan), [BLOCK] * 3).any()
     assert contact(np.zeros((0, 3)), []).shape == (0,)
     assert contact(path((0.01, 0.02)), [BLOCK]).tolist() == [False]
+
+
+def test_one_wrong_height_is_no_lift_but_two_frames_are():
+    low, high = (0.01, 0.02), (0.01, 0.06)
+    assert contact(path(low, low, high, low, low), [BLOCK] * 5).all()
+    found = contact(path(low, low, high, high, low, low), [BLOCK] * 6)
+    assert found.tolist() == [True, True, False, False, True, True]

@@ -175,3 +175,13 @@ def test_calibrated_setpoint_of_an_unmoved_and_a_turned_object():
     setpoint, seen = soft.setpoint(now, thin(turned(cloud, pose), 800), 0.012, soft.rotations(now))
     torch.testing.assert_close(setpoint, now, atol=1e-4, rtol=0)
     torch.testing.assert_close(seen, torch.ones(150), atol=1e-3, rtol=0)
+
+
+def test_a_hidden_side_does_not_fold_a_rigid_object(block):
+    """A hand hides one side for many frames; with springs alone the hidden side creeps over the rest and stays there."""
+    cloud = block[0][0]
+    hidden = cloud[cloud[:, 0] > np.quantile(cloud[:, 0], 0.12)]
+    result = track([cloud, *[hidden] * 8, cloud])
+    moved = np.linalg.norm(result.positions - result.positions[0], axis=-1)
+    assert moved.mean(axis=1).max() < 0.002
+    assert moved.max() < 0.006

@@ -28,6 +28,8 @@ app = typer.Typer(
     add_completion=False,
 )
 
+INTERRUPTED = 130
+
 FEW = 8
 """Up to this many sequences are listed one by one."""
 
@@ -74,6 +76,18 @@ def _summary(outcomes: list, folder: Path) -> _Report:
     return _Report(value, lines or ["nothing to do"], failed[0].error.exit_code if failed else 0)
 
 
+class _LogFile(logging.FileHandler):
+    """A log file whose own failure (a full disk, say) neither ends nor clutters the command."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Drop what cannot be written."""
+
+    def close(self) -> None:
+        """Close, even if the last lines cannot be written."""
+        with contextlib.suppress(OSError):
+            super().close()
+
+
 @contextlib.contextmanager
 def _logging_to(folder: Path) -> Iterator[None]:
     """Log to stderr, and with details to RUN/run.log."""
@@ -83,7 +97,7 @@ def _logging_to(folder: Path) -> Iterator[None]:
     stderr.setLevel(logging.INFO)
     stderr.setFormatter(logging.Formatter("%(message)s"))
     folder.mkdir(parents=True, exist_ok=True)
-    file = logging.FileHandler(folder / "run.log", encoding="utf-8")
+    file = _LogFile(folder / "run.log", encoding="utf-8")
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     log.handlers = [stderr, file]
     log.debug("piegraph %s: %s", __version__, sys.argv[1:])
@@ -328,13 +342,16 @@ def _options_of_all(
 def main() -> None:
     """The `piegraph` program: a user's mistake ends with one message and its exit code, never a traceback."""
     try:
-        sys.exit(app(standalone_mode=False))
+        code = app(standalone_mode=False)
+        if code == INTERRUPTED:
+            raise KeyboardInterrupt
+        sys.exit(code)
     except PiegraphError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         print("interrupted; the same command goes on from here", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     except typer.TyperException as error:
         print(f"error: {error.format_message()}\n  try: piegraph --help, piegraph COMMAND --help", file=sys.stderr)
         sys.exit(error.exit_code)

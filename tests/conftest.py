@@ -1,28 +1,18 @@
 """Runs that several tests share, made once per session."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).parents[1]
-SAMPLE = REPOSITORY / "sample_data" / "tblock"
+from tests.cli import REPOSITORY, piegraph
 
 
-def piegraph(*arguments: object, check: int | None = 0, **options) -> subprocess.CompletedProcess:
-    """Run the command line in a process of its own; `check` is the exit code it must end with."""
-    command = [sys.executable, "-c", "from piegraph_cli.app import main; main()", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, **options)
-    if check is not None:
-        assert done.returncode == check, f"{arguments}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
-    return done
+@pytest.fixture(autouse=True, scope="session")
+def one_thread():
+    """The arrays of tests are small, and waiting for a second core costs more than it brings."""
+    import torch
 
-
-def piegraph_json(*arguments: object) -> dict:
-    """The JSON object a command prints with --json."""
-    return json.loads(piegraph(*arguments, "--json").stdout)
+    torch.set_num_threads(1)
 
 
 TINY = """

@@ -1,27 +1,26 @@
-"""Run a piegraph command and kill it with SIGKILL while it writes its N-th HDF5 dataset: python killer.py N ARGUMENT ..."""
+"""Run a piegraph command and kill it with SIGKILL halfway through its N-th artifact: python killer.py N ARGUMENT ..."""
 
 import os
 import signal
 import sys
-
-import h5py
+from pathlib import Path
 
 left = int(sys.argv[1])
 sys.argv = ["piegraph", *sys.argv[2:]]
-create = h5py.Group.create_dataset
+write_bytes = Path.write_bytes
 
 
-def create_and_die(self, *arguments, **options):
+def write_half_and_die(self: Path, data: bytes) -> int:
     global left
     left -= 1
-    result = create(self, *arguments, **options)
-    if left <= 0:
-        self.file.flush()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return result
+    if left > 0:
+        return write_bytes(self, data)
+    write_bytes(self, data[: len(data) // 2])
+    os.kill(os.getpid(), signal.SIGKILL)
+    return 0
 
 
-h5py.Group.create_dataset = create_and_die
+Path.write_bytes = write_half_and_die
 
 from piegraph_cli.app import main  # noqa: E402
 

@@ -7,9 +7,9 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import piegraph, piegraph_json
 
 from piegraph_cli.stages import STAGES
+from tests.cli import piegraph, piegraph_json
 
 COMMANDS = [*STAGES, "run", "status", "report", "calibrate", "view", "doctor"]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import REPOSITORY, SAMPLE, piegraph, piegraph_json
 
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
+from tests.cli import REPOSITORY, SAMPLE, piegraph, piegraph_json
 
 GOLDEN = Path(__file__).parent / "golden" / "sample.json"
 RECORDED = ("ingest", "hands", "segment", "fuse", "track", "dataset")
@@ -70,7 +70,7 @@ def test_the_report_draws_every_kind_of_picture(sample_run, tmp_path):
     shutil.copytree(sample_run, folder)
     pictures = {Path(p).name for p in piegraph_json("report", "--run", folder)["pictures"]}
     sequence = sorted(p.name for p in SAMPLE.iterdir() if p.is_dir())[0]
-    expected = {f"{sequence}_{kind}.png" for kind in ("masks", "cloud", "tracks")} | {f"{sequence}.gif"}
+    expected = {f"{sequence}_{kind}.png" for kind in ("masks", "cloud", "tracks")} | {f"{sequence}.webp"}
     assert pictures >= expected | {"training.png", "errors.png", "scores.png", "plan_0.png"}
     assert all((folder / "report" / name).stat().st_size > 5000 for name in pictures)
 

@@ -44,8 +44,8 @@ def draw_particles(image: np.ndarray, positions: np.ndarray, camera: Camera, col
     pixels, depth = camera.project(positions)
     for (x, y), z, color in zip(pixels, depth, colors.tolist(), strict=True):
         if z > 0 and 0 <= x < camera.width and 0 <= y < camera.height:
-            cv2.circle(image, (round(float(x)), round(float(y))), 3, (0, 0, 0), -1, cv2.LINE_AA)
-            cv2.circle(image, (round(float(x)), round(float(y))), 2, color, -1, cv2.LINE_AA)
+            cv2.circle(image, (round(float(x)), round(float(y))), 4, (0, 0, 0), -1, cv2.LINE_AA)
+            cv2.circle(image, (round(float(x)), round(float(y))), 3, color, -1, cv2.LINE_AA)
     return image
 
 

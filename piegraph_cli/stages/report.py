@@ -72,7 +72,7 @@ def _sequence_pictures(run: Run, sequence: str) -> Iterator[tuple[str, Any]]:
     true = None
     if frames is not None:
         true = true_positions({"frames": {sequence: frames}, "tracks": {sequence: tracks}}, sequence, run)
-        yield f"{sequence}.gif", _animation(frames, tracks)
+        yield f"{sequence}.webp", _animation(frames, tracks)
     hand = tracks["end_effector"]
     title = f"{sequence}: tracked particles" + (" over true ones" if true is not None else "")
     yield (
@@ -135,13 +135,15 @@ def _plan_picture(plan: Artifact, episode: int) -> Any:
 
 
 def _save(path: Path, picture: Any) -> None:
-    """A figure or an RGB image as PNG, a list of images as an animated GIF."""
+    """A figure or an RGB image as PNG, a list of images as an animated WebP (small, all colours; browsers show it)."""
     from PIL import Image
 
     with atomic_file(path) as temporary:
         if isinstance(picture, list):
-            images = [Image.fromarray(image).quantize(128, dither=Image.Dither.NONE) for image in picture]
-            images[0].save(temporary, "GIF", save_all=True, append_images=images[1:], duration=200, loop=0)
+            images = [Image.fromarray(image) for image in picture]
+            images[0].save(
+                temporary, "WEBP", save_all=True, append_images=images[1:], duration=200, quality=70, method=2
+            )
         elif isinstance(picture, np.ndarray):
             Image.fromarray(picture).save(temporary, "PNG")
         else:

@@ -69,10 +69,15 @@ def write_artifact(
         "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "software": f"piegraph {__version__}",
     }
-    with atomic_file(path) as temporary, h5py.File(temporary, "w") as file:
+    # made in memory: HDF5 itself ends the process when the disk is full
+    with h5py.File(str(path), "w", driver="core", backing_store=False) as file:
         file.attrs.update(attributes)
         for dataset, value in arrays.items():
             _write_dataset(file, dataset, value, field_of(name, dataset))
+        file.flush()
+        image = file.id.get_file_image()
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(image)
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 import logging
 import time
 import traceback
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -131,6 +132,8 @@ def _parallel(run: Run, stage: Stage, units: list[str | None], options: Options,
             from ray.util.joblib import register_ray
 
             register_ray()
+        # joblib replaces workers that have grown, which is no news to a user
+        warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given to the executor")
         with joblib.parallel_config(backend="ray" if options.backend == "ray" else "loky", n_jobs=jobs):
             parallel = joblib.Parallel(return_as="generator")
             work = parallel(joblib.delayed(run_unit)(run.folder, stage.name, u, options, True) for u in units)
@@ -143,7 +146,8 @@ def run_unit(folder: Path, stage_name: str, sequence: str | None, options: Optio
     try:
         path = run.path(stage.writes, sequence)
         with _locked(run, stage, sequence) as waited:
-            remove_leftovers(path)
+            for file in (path, run.checkpoint(stage)):
+                remove_leftovers(file)
             if (waited or not options.force) and run.state(stage, sequence) == "fresh":
                 return Outcome(stage_name, sequence, "cached", 0.0, _quality(run, stage, sequence))
             output = _make(run, stage, sequence, options, quiet)
@@ -169,7 +173,7 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet:
             inputs.setdefault(name, {})[s] = artifact
         else:
             inputs[name] = artifact
-    checkpoint = Checkpoint(run.folder / "checkpoints" / f"{stage.name}.h5", key)
+    checkpoint = Checkpoint(run.checkpoint(stage), key)
     context = Context(run, sequence, options.device, checkpoint, quiet)
     params = run.recipe.params(stage)
     output = stage.load()(inputs, params, context)

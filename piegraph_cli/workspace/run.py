@@ -43,6 +43,10 @@ class Run:
         """Where an artifact is."""
         return self.folder / artifact / f"{sequence}.h5" if sequence else self.folder / f"{artifact}.h5"
 
+    def checkpoint(self, stage: Stage) -> Path:
+        """Where a long stage keeps its state until it is done."""
+        return self.folder / "checkpoints" / f"{stage.name}.h5"
+
     def lock(self, name: str) -> FileLock:
         """The lock that keeps two processes from making the same artifact."""
         folder = self.folder / ".locks"

@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-from make_recording import make_recording
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.timing import align_frames
@@ -15,6 +14,7 @@ from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
+from tests.stages.make_recording import make_recording
 
 
 def ingest(recording, folder, **settings):

@@ -13,6 +13,7 @@ from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage, run_unit, status
 from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting, shipped
 from piegraph_cli.workspace.run import Run, content_hash
+from tests.cli import piegraph
 
 
 def run_of(folder, **sections) -> Run:
@@ -88,8 +89,6 @@ def test_a_second_process_waits_and_then_finds_it_done(tiny_run, tmp_path):
 
 
 def test_runs_with_the_same_seed_are_equal(tiny_recipe, tiny_run, tmp_path):
-    from conftest import piegraph
-
     again = tmp_path / "again"
     piegraph("run", tiny_recipe, "--run", again, "--jobs", 2)
     for path in tiny_run.rglob("*.h5"):

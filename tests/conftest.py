@@ -64,3 +64,15 @@ def sample_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recipe = REPOSITORY / "pipelines" / "demo.toml"
     piegraph("run", recipe, "--run", folder, "--jobs", 2, "--set", "train.steps=300", "--set", "plan.strokes=3")
     return folder
+
+
+@pytest.fixture(scope="session")
+def sam_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of a small Segment Anything model, trained on the spot."""
+    import torch
+
+    from tests.perception.tiny_sam import train
+
+    path = tmp_path_factory.mktemp("sam") / "tiny.pt"
+    torch.save(train(steps=60).state_dict(), path)
+    return path

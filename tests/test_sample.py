@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piegraph_cli.evaluation.truth import mask_iou
+from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from tests.cli import REPOSITORY, SAMPLE, piegraph, piegraph_json
@@ -119,6 +121,22 @@ def test_the_papers_association_is_there_and_tracks_worse(sample_run, tmp_path):
     )
     score = "tracked particles at stroke ends [mm]"
     assert nearest[score] > 2 * soft[score]
+
+
+def test_segment_anything_masks_the_sample(sample_run, sam_checkpoint, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(sample_run, folder)
+    missing = piegraph("segment", "--run", folder, "--segmenter", "sam", check=4)
+    assert "piegraph doctor --fetch sam-vit-b" in missing.stderr
+    options = ("--segmenter", "sam", "--sam-model", "tiny", "--sam-checkpoint", sam_checkpoint, "--jobs", 2)
+    piegraph("segment", "--run", folder, *options)
+    overlaps = []
+    for path in sorted((folder / "masks").iterdir()):
+        masks, truth = read_artifact(path, "masks"), read_artifact(SAMPLE / path.stem / "truth.h5", "truth")
+        found = ImageStack(masks["mask"], masks["mask_offsets"], 4, "mask")
+        true = ImageStack(truth["object_mask"], truth["object_mask_offsets"], 4, "mask")
+        overlaps += [mask_iou(found.mask(f, c), true.mask(f, c)) for f in range(0, len(found), 3) for c in range(4)]
+    assert np.median(overlaps) > 0.85
 
 
 if __name__ == "__main__":

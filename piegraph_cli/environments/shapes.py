@@ -68,16 +68,6 @@ def t_block() -> Block:
     return Block(rectangles - np.tile(centre_of_mass, 2), outline - centre_of_mass, 0.035)
 
 
-def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Indices [count] of a farthest-point sample of points [M, 3], each next point farthest from those before it."""
-    chosen = np.zeros(count, int)
-    distance = np.full(len(points), np.inf)
-    for k in range(1, count):
-        distance = np.minimum(distance, ((points - points[chosen[k - 1]]) ** 2).sum(1))
-        chosen[k] = distance.argmax()
-    return chosen
-
-
 def place(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Body-frame points [N, 3] (m) at planar poses [..., 3] (x, y in m, yaw in rad), world frame [..., N, 3]."""
     pose = np.asarray(pose, np.float64)

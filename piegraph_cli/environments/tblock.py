@@ -11,8 +11,9 @@ import gymnasium
 import numpy as np
 import pymunk
 
-from piegraph_cli.environments.shapes import Block, farthest_points, place, t_block
+from piegraph_cli.environments.shapes import Block, place, t_block
 from piegraph_cli.errors import UsageError
+from piegraph_cli.physics.springs import farthest_point_sample
 
 FRAME_RATE = 5.0
 PUSHER_RADIUS = 0.01
@@ -42,7 +43,7 @@ class TBlock(gymnasium.Env):
             raise UsageError(f"{particles} particles cannot show a pose", hint="use 4 or more; the paper uses 50")
         self.block: Block = t_block()
         dense = self.block.visible_surface(4000, seed=0)
-        self.body_particles = dense[farthest_points(dense, particles)]
+        self.body_particles = dense[farthest_point_sample(dense, particles)]
         self._pose = np.zeros(3)
         table = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
         self.action_space = gymnasium.spaces.Dict({"start": table, "end": table, "mode": gymnasium.spaces.Discrete(1)})

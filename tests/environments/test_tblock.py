@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 from piegraph_cli import environments
 from piegraph_cli.environments.recording import simulate_tracks
-from piegraph_cli.environments.shapes import farthest_points, place, t_block
+from piegraph_cli.environments.shapes import place, t_block
 from piegraph_cli.environments.tblock import CLEARANCE, PUSHER_RADIUS, REACH, STROKE_LENGTHS
 from piegraph_cli.errors import MissingError, UsageError
 
@@ -167,11 +167,6 @@ def test_block_mesh_is_closed_and_faces_outwards():
     block = t_block()
     mesh = trimesh.Trimesh(*block.mesh(), process=False)
     assert mesh.volume == pytest.approx((0.2 * 0.05 + 0.05 * 0.15) * block.height)
-
-
-def test_farthest_points_spread():
-    line = np.column_stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)])
-    assert farthest_points(line, 3).tolist() == [0, 10, 5]
 
 
 def test_place_turns_about_z():

@@ -22,7 +22,6 @@ from piegraph_cli.stages import STAGES, Stage
 
 app = typer.Typer(
     help="Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     add_completion=False,
@@ -188,7 +187,7 @@ def run(
     device: Device = "auto",
     as_json: AsJson = False,
 ) -> None:
-    """Run a recipe from its first stale stage on, and say what came out."""
+    """Run a recipe's stages that are not fresh."""
     from piegraph_cli.workspace.execute import Options, run_chain
     from piegraph_cli.workspace.recipe import find_recipe, load_recipe, parse_setting
     from piegraph_cli.workspace.run import Run
@@ -210,7 +209,7 @@ def run(
 
 @app.command()
 def status(run: RunFolder, as_json: AsJson = False) -> None:
-    """Say of every artifact of a run whether it is fresh, stale, missing or failed."""
+    """List a run's artifacts: fresh, stale or failed."""
     from piegraph_cli.workspace.execute import status as rows_of
 
     if not (run / "recipe.toml").exists():
@@ -236,7 +235,10 @@ def simulate(
     jobs: Jobs = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate a person's random strokes: as true particles, or as a recording with --render."""
+    """Simulate random strokes, or render recordings.
+
+    Without --render the true particles are written as tracks of a run; with it, a recording like one of real cameras.
+    """
     from piegraph_cli.stages.simulate import record_sequences
     from piegraph_cli.workspace.execute import Options, run_stage
     from piegraph_cli.workspace.run import Run
@@ -264,7 +266,7 @@ def simulate(
 
 @app.command()
 def report(run: RunFolder, as_json: AsJson = False) -> None:
-    """Draw a run's pictures into RUN/report and list them."""
+    """Draw a run's pictures into RUN/report."""
     from piegraph_cli.stages.report import draw_report
 
     with _logging_to(run):
@@ -283,7 +285,10 @@ def calibrate(
     dictionary: Annotated[str, typer.Option(help="OpenCV's name of the marker dictionary")] = "DICT_5X5_100",
     as_json: AsJson = False,
 ) -> None:
-    """Fill T_world_camera of cameras.json from a ChArUco board on the table: its middle is the origin, z is up."""
+    """Locate the cameras by a ChArUco board.
+
+    The board lies on the table; its middle becomes the origin of the world, z up. Fills T_world_camera in cameras.json.
+    """
     from piegraph_cli.recording.calibration import Board
     from piegraph_cli.stages.calibrate import calibrate as locate
 
@@ -300,7 +305,10 @@ def view(
     sequence: Annotated[str | None, typer.Option(help="sequence to show [default: the first]")] = None,
     port: Annotated[int, typer.Option(min=1024, max=65535, help="port on this machine")] = 8080,
 ) -> None:
-    """Show clouds and tracks of a sequence in the browser, on 127.0.0.1 only, until interrupted."""
+    """Show clouds and tracks in the browser.
+
+    Serves on 127.0.0.1 only, until interrupted.
+    """
     from piegraph_cli.stages.view import serve
 
     serve(run, sequence, port)
@@ -310,7 +318,7 @@ def view(
 def doctor(
     fetch: Annotated[str | None, typer.Option(help="fetch a weight file by name")] = None, as_json: AsJson = False
 ) -> None:
-    """Check this machine: packages, libraries, weights, devices; and say how to mend what is missing."""
+    """Check what this machine lacks."""
     from piegraph_cli.doctor import check_machine
     from piegraph_cli.weights import fetch_weights
 
@@ -342,7 +350,7 @@ def _options_of_all(
 def main() -> None:
     """The `piegraph` program: a user's mistake ends with one message and its exit code, never a traceback."""
     try:
-        code = app(standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if code == INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(code)

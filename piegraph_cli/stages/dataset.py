@@ -1,5 +1,6 @@
 """Stage `dataset`: strokes cut from the hand's path and contact, training pairs of frames, a split by sequence."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ from piegraph_cli.workspace.execute import Context, Output
 TRAIN, VALIDATION, TEST = 0, 1, 2
 
 
-def run(inputs: dict[str, dict[str, Artifact]], params: DatasetParams, context: Context) -> Output:
+def run(inputs: dict[str, Mapping[str, Artifact]], params: DatasetParams, context: Context) -> Output:
     """Build the dataset of all tracked sequences."""
-    tracks = inputs["tracks"]
+    tracks = dict(inputs["tracks"])
     _check_particles(tracks)
     columns: dict[str, list[Any]] = {name: [] for name in ("strokes", "owner", "mode", "pairs", "pair_stroke", "start")}
     frames, stroke_count, empty = 0, 0, []

@@ -167,12 +167,12 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet:
     key = run.key(stage, sequence)
     files = run.inputs(stage, sequence)
     inputs: dict[str, Any] = {}
-    for name, s in files:
-        artifact = _read_fresh(run, name, s)
-        if stage.per == "run" and s is not None:
-            inputs.setdefault(name, {})[s] = artifact
+    for name in dict.fromkeys(name for name, _ in files):
+        sequences = [s for n, s in files if n == name and s is not None]
+        if stage.per == "run" and sequences:
+            inputs[name] = _OnDemand(run, name, sequences)
         else:
-            inputs[name] = artifact
+            inputs[name] = _read_fresh(run, name, sequence if sequences else None)
     checkpoint = Checkpoint(run.checkpoint(stage), key)
     context = Context(run, sequence, options.device, checkpoint, quiet)
     params = run.recipe.params(stage)
@@ -190,6 +190,24 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet:
     )
     checkpoint.path.unlink(missing_ok=True)
     return output
+
+
+class _OnDemand(Mapping[str, Artifact]):
+    """One artifact of many sequences, read when asked for: the frames of a whole recording would not fit into memory."""
+
+    def __init__(self, run: Run, name: str, sequences: list[str]):
+        self.run, self.name, self.sequences = run, name, sequences
+
+    def __getitem__(self, sequence: str) -> Artifact:
+        if sequence not in self.sequences:
+            raise KeyError(sequence)
+        return _read_fresh(self.run, self.name, sequence)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.sequences)
+
+    def __len__(self) -> int:
+        return len(self.sequences)
 
 
 def _read_fresh(run: Run, name: str, sequence: str | None) -> Artifact:

@@ -67,7 +67,8 @@ def _summary(outcomes: list, folder: Path) -> _Report:
             )
         else:
             lines += [f"{name} {o.sequence or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
-    lines += [f"FAILED {o.stage} {o.sequence or ''}: {str(o.error).splitlines()[0]}" for o in failed]
+    if failed:
+        lines.append("failed: " + ", ".join(f"{o.stage} {o.sequence}" if o.sequence else o.stage for o in failed))
     value = {
         "run": str(folder),
         "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes],
@@ -107,8 +108,18 @@ def _logging_to(folder: Path) -> Iterator[None]:
         file.close()
 
 
+def _require_run(folder: Path) -> None:
+    if not (folder / "recipe.toml").exists():
+        raise UsageError(
+            "not a run folder: it has no recipe.toml", str(folder), "start with piegraph ingest, or piegraph run"
+        )
+
+
 def _stage_command(stage: Stage) -> Callable[..., None]:
-    """A command with one option per setting of the stage; given options are kept in the run's recipe."""
+    """A command with one option per setting of the stage.
+
+    Settings that worked are kept in the run's recipe, but not those of `plan`: each question to it stands for itself.
+    """
 
     def command(run: Path, force: bool, jobs: int, backend: str, device: str, as_json: bool, **values: Any) -> None:
         from piegraph_cli.workspace.execute import Options, run_stage
@@ -117,9 +128,13 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
         given = {name: value for name, value in values.items() if value is not None}
         opened = Run.open(run)
         opened.recipe = opened.recipe.with_values(stage, given, f"piegraph {stage.name}", Path.cwd())
+        if stage.reads:
+            _require_run(run)
+        options = Options(force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
         with _logging_to(run):
-            opened.save_recipe()
-            outcomes = run_stage(run, stage, Options(force, jobs, backend, device))  # type: ignore[arg-type]
+            outcomes = run_stage(run, stage, options)
+            if stage.name != "plan" and any(not o.error for o in outcomes):
+                opened.save_recipe()
             report = _summary(outcomes, run)
         if stage.name in ("plan", "evaluate") and not report.exit_code:
             report = _described(stage, run)
@@ -160,12 +175,17 @@ def _options(params: type[Params]) -> list[Parameter]:
 
 def _described(stage: Stage, folder: Path) -> _Report:
     """What `evaluate` and `plan` print: the numbers themselves."""
-    from importlib import import_module
-
     from piegraph_cli.workspace.artifact import read_artifact
 
     artifact = read_artifact(folder / f"{stage.writes}.h5", stage.writes)
-    return _Report(*import_module(f"piegraph_cli.stages.{stage.name}").describe(artifact))
+    if stage.name == "plan":
+        from piegraph_cli.stages.plan import describe
+
+        return _Report(*describe(artifact))
+    from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
+
+    rows, scores = summarise(artifact.arrays), summarise_scores(artifact.arrays)
+    return _Report({"metrics": str(artifact.path), "rows": rows, "scores": scores}, table_lines(rows, scores))
 
 
 for _stage in STAGES.values():
@@ -201,6 +221,9 @@ def run(
     for text in set or []:
         stage, setting, value = parse_setting(text)
         opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}", Path.cwd())
+    names = [stage.name for stage in opened.recipe.chain()]
+    if until is not None and until not in names:
+        raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
     with _logging_to(folder):
         opened.save_recipe()
         outcomes = run_chain(folder, until, Options(force, jobs, backend, device))
@@ -212,13 +235,12 @@ def status(run: RunFolder, as_json: AsJson = False) -> None:
     """List a run's artifacts: fresh, stale or failed."""
     from piegraph_cli.workspace.execute import status as rows_of
 
-    if not (run / "recipe.toml").exists():
-        raise UsageError("not a run folder: it has no recipe.toml", str(run), "piegraph run RECIPE --run FOLDER")
+    _require_run(run)
     rows = rows_of(run)
     lines = [f"{'stage':10s} {'sequence':16s} {'state':8s} quality"]
-    lines += [
-        f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {r['quality'] or r['failure']}" for r in rows
-    ]
+    for r in rows:
+        why = r["quality"] or r["failure"] or r["reason"]
+        lines.append(f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {why}")
     _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
 
 
@@ -269,6 +291,7 @@ def report(run: RunFolder, as_json: AsJson = False) -> None:
     """Draw a run's pictures into RUN/report."""
     from piegraph_cli.stages.report import draw_report
 
+    _require_run(run)
     with _logging_to(run):
         files = draw_report(run)
     _emit(_Report({"pictures": [str(f) for f in files]}, [str(f) for f in files]), as_json)
@@ -361,5 +384,7 @@ def main() -> None:
         print("interrupted; the same command goes on from here", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except typer.TyperException as error:
-        print(f"error: {error.format_message()}\n  try: piegraph --help, piegraph COMMAND --help", file=sys.stderr)
+        context = getattr(error, "ctx", None)
+        command = f"piegraph {context.info_name}" if context is not None and context.parent is not None else "piegraph"
+        print(f"error: {error.format_message()}\n  try: {command} --help", file=sys.stderr)
         sys.exit(error.exit_code)

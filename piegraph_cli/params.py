@@ -6,7 +6,7 @@ Nothing heavy is imported here, so that `piegraph --help` answers at once. The c
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 def _split(value: object) -> object:
@@ -14,13 +14,22 @@ def _split(value: object) -> object:
     return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
 
 
+def _check_box(box: tuple[float, ...]) -> tuple[float, ...]:
+    for axis, low, high in zip("xyz", box[::2], box[1::2], strict=True):
+        if low >= high:
+            raise ValueError(f"{axis}min {low:g} is not below {axis}max {high:g}: give xmin,xmax,ymin,ymax,zmin,zmax")
+    return box
+
+
+ModelName = Literal["piegraph", "piegraph-ng", "kabsch", "static"]
+EnvironmentName = Literal["tblock"]
 Pose2 = Annotated[tuple[float, float, float], BeforeValidator(_split)]
-Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_split)]
+Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_split), AfterValidator(_check_box)]
 Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_split), Field(min_length=1)]
 Lengths = Annotated[
     tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)
 ]
-Names = Annotated[tuple[str, ...], BeforeValidator(_split), Field(min_length=1)]
+Models = Annotated[tuple[ModelName, ...], BeforeValidator(_split), Field(min_length=1)]
 
 
 class Params(BaseModel):
@@ -28,8 +37,8 @@ class Params(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    exclusive: ClassVar[tuple[tuple[str, str], ...]] = ()
-    """Pairs of which giving one forgets the other."""
+    query: ClassVar[tuple[str, ...]] = ()
+    """Settings that belong together: giving one forgets the others."""
 
     def files(self) -> dict[str, Path]:
         """Files and folders these settings name; their content, not their path, enters the cache key."""
@@ -39,7 +48,7 @@ class Params(BaseModel):
 class SimulateParams(Params):
     """Settings of `simulate`: true particles of random strokes in a simulated environment."""
 
-    environment: str = Field("tblock", description="simulated environment, by name")
+    environment: EnvironmentName = Field("tblock", description="simulated environment, by name")
     sequences: int = Field(20, ge=1, description="sequences to simulate")
     strokes: int = Field(4, ge=1, description="strokes per sequence")
     particles: int = Field(50, ge=4, le=2000, description="particles per object")
@@ -168,20 +177,21 @@ class PredictionParams(GuidanceParams):
 class EvaluateParams(PredictionParams):
     """Settings of `evaluate`."""
 
-    models: Names = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
+    models: Models = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
 
 
 class PlanParams(PredictionParams):
     """Settings of `plan`."""
 
-    exclusive = (("env", "state"), ("goal", "goal_pose"))
+    query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose")
+    """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
 
-    env: str | None = Field(None, description="simulated environment to act in, closed loop")
+    env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
-    model: str = Field("piegraph", description="model that predicts, by name")
+    model: ModelName = Field("piegraph", description="model that predicts, by name")
     cost: Literal["auto", "distance", "chamfer"] = Field(
         "auto", description="particle distance, chamfer distance, or the first where particles correspond"
     )
@@ -199,6 +209,12 @@ class PlanParams(PredictionParams):
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"
     )
     seed: int = Field(0, ge=0, description="seed of starts, goals and candidates")
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> "PlanParams":
+        if self.min_length >= self.max_length:
+            raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
+        return self
 
     def goal_file(self) -> tuple[Path, int | None]:
         """The goal's file and frame, from FILE or FILE:FRAME."""

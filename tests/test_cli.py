@@ -39,9 +39,11 @@ def test_every_command_has_help(command):
         (["run", "tblock", "--run", "r", "--set", "train.speed=1"], 2, "train.speed: unknown setting"),
         (["run", "tblock", "--run", "r", "--until", "fly"], 2, "no stage fly"),
         (["status", "--run", "r"], 2, "not a run folder"),
-        (["report", "--run", "r"], 2, "has no recording"),
+        (["hands", "--run", "r"], 2, "not a run folder"),
+        (["report", "--run", "r"], 2, "not a run folder"),
+        (["ingest", "--run", "r", "--workspace", "1,0,0,1,0,1"], 2, "xmin 1 is not below xmax 0"),
         (["ingest", "--run", "r", "--recording", "none"], 3, "no such recording folder"),
-        (["simulate", "moon", "--out", "r"], 2, "no environment named 'moon'"),
+        (["simulate", "moon", "--out", "r"], 2, "simulate.environment: Input should be 'tblock'"),
         (["doctor", "--fetch", "moon"], 2, "unknown weights moon"),
     ],
 )
@@ -111,6 +113,11 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
     )
     assert (plan["frame"], plan["units"]) == ("world", "m")
     assert len(plan["strokes"]) == 2
+    missing = piegraph("plan", "--run", planner, "--state", tmp_path / "now.npz", check=2)
+    assert "--state needs a goal" in missing.stderr, "a question to plan stands for itself"
+    there = piegraph_json("plan", "--run", planner, "--state", tmp_path / "now.npz", "--goal-pose", "0,0,0")
+    assert there["strokes"] == []
+    assert "already" in there["quality"]
     assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance"}
 
 
@@ -126,14 +133,16 @@ def test_a_goal_may_be_a_frame_of_a_track(planner, tiny_run):
     ("arguments", "code", "message"),
     [
         ([], 2, "either --env or --state"),
-        (["--env", "moon"], 2, "no environment named 'moon'"),
+        (["--env", "moon"], 2, "'moon' is not one of 'tblock'"),
         (["--state", "empty.npz"], 2, "--state needs a goal"),
         (["--env", "tblock", "--goal", "none.ply"], 3, "none.ply: no such file"),
         (["--env", "tblock", "--goal", "empty.npz"], 3, "holds no finite points"),
         (["--env", "tblock", "--goal", "empty.ply"], 3, "holds no finite points"),
+        (["--env", "tblock", "--goal-pose", "50,0,0"], 3, "the goal lies around"),
+        (["--env", "tblock", "--min-length", "0.2", "--max-length", "0.1"], 2, "min_length 0.2 is not below"),
         (["--env", "tblock", "--goal", "words.txt"], 3, "cannot read clouds from .txt"),
         (["--env", "tblock", "--goal", "empty.npz", "--goal-pose", "0,0,1"], 2, "one goal, not two"),
-        (["--env", "tblock", "--model", "oracle"], 2, "unknown model oracle"),
+        (["--env", "tblock", "--model", "oracle"], 2, "'oracle' is not one of 'piegraph'"),
         (["--env", "tblock", "--stiffness", "5"], 2, "stiffness 5 is unstable"),
     ],
 )
@@ -144,3 +153,34 @@ def test_wrong_plans(planner, tmp_path, arguments, code, message):
     done = piegraph("plan", "--run", planner, *arguments, check=code, cwd=tmp_path)
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_settings_that_failed_are_not_kept(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    before = (folder / "recipe.toml").read_text()
+    piegraph("train", "--run", folder, "--device", "cuda", "--steps", "7", check=4)
+    assert (folder / "recipe.toml").read_text() == before
+
+
+def test_ray_that_is_not_installed_is_named(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    code = "import sys; sys.modules['ray'] = None; from piegraph_cli.app import main; main()"
+    command = [sys.executable, "-c", code, "dataset", "--run", str(folder), "--backend", "ray", "--force"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 4, done.stderr
+    assert "piegraph[cluster]" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_status_says_why_something_is_stale(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    piegraph("train", "--run", folder, "--seed", "3")
+    (folder / "tracks" / "sequence_0001.h5").write_bytes(b"cut")
+    rows = {(r["stage"], r["sequence"]): r for r in piegraph_json("status", "--run", folder)["artifacts"]}
+    assert "not a readable HDF5 file" in rows["simulate", "sequence_0001"]["reason"]
+    assert "what it was made from has changed" in rows["evaluate", None]["reason"]
+    piegraph("train", "--run", folder, "--seed", "4", "--steps", "0", check=2)
+    assert piegraph_json("status", "--run", folder)["artifacts"][5]["state"] == "fresh"

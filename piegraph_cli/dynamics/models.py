@@ -7,7 +7,6 @@ import torch
 
 from piegraph_cli.dynamics.action import check_strokes
 from piegraph_cli.dynamics.egnn import EGNN, nearest_neighbors
-from piegraph_cli.errors import UsageError
 from piegraph_cli.params import PredictionParams
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.simulation import guide
@@ -44,20 +43,13 @@ MODELS: dict[str, Model] = {
 }
 
 
-def find_model(name: str) -> Model:
-    """A model by name. Raises `UsageError` listing the names."""
-    if name not in MODELS:
-        raise UsageError(f"unknown model {name}", hint=f"one of {', '.join(MODELS)}")
-    return MODELS[name]
-
-
 def make_predict(name: str, network: EGNN | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
     """The predict function of a model for one object, whose rest state [N, 3] (m) gives springs and neighbours.
 
     One neighbour list serves every prediction: it is cheaper than a new one per state, and more accurate over several
     strokes, since layers of a folded object do not connect.
     """
-    model = find_model(name)
+    model = MODELS[name]
     if not model.network:
         return lambda positions, strokes: positions
     assert network is not None

@@ -25,6 +25,8 @@ def _top_view(axes: Axes, clouds: Sequence[np.ndarray], margin: float = 0.04) ->
     axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set_aspect("equal")
     axes.tick_params(labelsize=7)
+    axes.set_xlabel("x [m]", fontsize=7)
+    axes.set_ylabel("y [m]", fontsize=7)
 
 
 def cloud_figure(clouds: Sequence[np.ndarray], times: Sequence[float], title: str) -> Figure:
@@ -65,7 +67,7 @@ def track_figure(
         if true is not None:
             axes.scatter(*true[frame, :, :2].T, s=42, facecolors="none", edgecolors="k", linewidths=0.8, label="true")
         axes.scatter(*positions[frame, :, :2].T, c=colors, s=14, label="tracked")
-        axes.plot(*hand[: frame + 1][contact[: frame + 1]][:, :2].T, ".", color="0.6", ms=2)
+        axes.plot(*hand[: frame + 1][contact[: frame + 1]][:, :2].T, ".", color="0.6", ms=2, label="hand")
         _top_view(axes, shown)
         axes.set_title(f"t = {time[frame]:.1f} s", fontsize=9)
         axes.legend(fontsize=6, loc="upper right")
@@ -114,7 +116,9 @@ def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
         )
         axes.set_ylim(bottom=0)
     axes.legend(fontsize=8)
-    figure.suptitle("Prediction on held-out sequences", fontsize=10)
+    windows = ", ".join(f"{row['windows']} at {row['horizon']}" for row in rows if row["model"] == rows[0]["model"])
+    meaning = "PD particle distance, CD chamfer distance (two ways, summed), S shape error"
+    figure.suptitle(f"Held-out sequences; windows: {windows}. {meaning}", fontsize=8)
     return figure
 
 
@@ -157,5 +161,6 @@ def score_figure(metrics: dict[str, np.ndarray]) -> Figure:
         axes.boxplot(values[np.isfinite(values)], widths=0.6, showfliers=False)
         axes.set_title(name.decode(), fontsize=7, wrap=True)
         axes.set_xticks([])
+        axes.set_ylim(bottom=0)
         axes.tick_params(labelsize=7)
     return figure

@@ -6,7 +6,7 @@ import numpy as np
 
 from piegraph_cli.recording.camera import Camera
 
-MASK_COLOR = (40, 220, 60)
+MASK_COLOR = (255, 0, 200)
 HAND_COLOR = (255, 210, 0)
 TIP_COLOR = (255, 40, 40)
 BONES = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (5, 9), (9, 10), (10, 11), (11, 12), (9, 13)]

@@ -72,7 +72,8 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
     except ValidationError as error:
         problem = error.errors()[0]
         place = ".".join(str(p) for p in problem["loc"])
-        raise DataError(f"{place}: {problem['msg']}", str(path), "see docs/formats.md for the fields") from None
+        message = f"{place}: {problem['msg']}" if place else problem["msg"]
+        raise DataError(message, str(path), "see docs/formats.md for the fields") from None
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"cannot be read: {error}", str(path)) from None
     if entries.version != LAYOUT_VERSION:

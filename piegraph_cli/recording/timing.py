@@ -24,9 +24,9 @@ def align_frames(
     if abs(period * fps - 1) <= SAME_RATE:
         source = np.repeat(np.arange(len(clock))[:, None], stamps.shape[1], 1)
     else:
-        wanted = np.arange(stamps[0].max(), stamps[-1].min() + 0.5 * period, max(1 / fps, period))
-        source = np.stack([np.abs(wanted[:, None] - column).argmin(1) for column in stamps.T], 1)
-        source = source[np.concatenate([[True], (np.diff(source, axis=0) > 0).all(1)])]
+        wanted = np.arange(clock[0], clock[-1] + 0.5 * period, max(1 / fps, period))
+        nearest = np.unique(np.abs(wanted[:, None] - clock).argmin(1))
+        source = np.repeat(nearest[:, None], stamps.shape[1], 1)
     chosen = np.take_along_axis(stamps, source, 0)
     skew = np.ptp(chosen, axis=1)
     if (skew > max_skew).any():

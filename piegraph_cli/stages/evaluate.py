@@ -7,10 +7,10 @@ import torch
 
 from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.egnn import EGNN
-from piegraph_cli.dynamics.models import find_model, make_predict
+from piegraph_cli.dynamics.models import make_predict
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
-from piegraph_cli.evaluation.statistics import bootstrap_mean
+from piegraph_cli.evaluation.tables import METRICS, summarise
 from piegraph_cli.params import EvaluateParams
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.stages.dataset import TEST
@@ -19,13 +19,9 @@ from piegraph_cli.stages.train import read_network
 from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.execute import Context, Output
 
-METRICS = ("cd", "s", "pd", "pd_truth")
-
 
 def run(inputs: dict[str, Any], params: EvaluateParams, context: Context) -> Output:
     """Measure every model on every window of held-out strokes."""
-    for name in params.models:
-        find_model(name)
     torch.set_num_threads(1)
     data, network = inputs["dataset"], read_network(inputs["model"])
     names = data.texts("sequence_name")
@@ -98,57 +94,6 @@ def _truth(inputs: dict[str, Any], context: Context) -> dict[str, np.ndarray]:
         return {}
     found = {name: true_positions(inputs, name, context.run) for name in inputs["tracks"]}
     return {name: true for name, true in found.items() if true is not None}
-
-
-def summarise(metrics: dict[str, np.ndarray]) -> list[dict[str, Any]]:
-    """One row per model and horizon: windows, and (mean, low, high) of each metric."""
-    rows = []
-    models = metrics["model"].astype("S128")
-    for horizon in np.unique(metrics["horizon"]):
-        for model in dict.fromkeys(models.tolist()):
-            chosen = (models == model) & (metrics["horizon"] == horizon)
-            row: dict[str, Any] = {"model": model.decode(), "horizon": int(horizon), "windows": int(chosen.sum())}
-            for name in METRICS:
-                values = metrics[name][chosen]
-                row[name] = bootstrap_mean(values[np.isfinite(values)])
-            row["cd+s"] = bootstrap_mean(metrics["cd"][chosen] + metrics["s"][chosen])
-            rows.append(row)
-    return rows
-
-
-def summarise_scores(metrics: dict[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Perception and tracking against the truth, over all frames of all sequences: mean, median and 90th percentile."""
-    rows = []
-    for name in dict.fromkeys(metrics["score_name"].tolist()):
-        values = metrics["score_value"][metrics["score_name"] == name]
-        values = values[np.isfinite(values)]
-        if len(values):
-            median, high = np.quantile(values, [0.5, 0.9])
-            rows.append(
-                {"score": name.decode(), "values": len(values), "mean": values.mean(), "median": median, "p90": high}
-            )
-    return rows
-
-
-def describe(metrics: Artifact) -> tuple[dict[str, Any], list[str]]:
-    """The metrics as one object and as a table for people."""
-    rows, scores = summarise(metrics.arrays), summarise_scores(metrics.arrays)
-    heads = f"{'PD [cm]':>18s} {'CD [cm]':>8s} {'S [cm2]':>8s} {'CD+S':>8s} {'PD truth [cm]':>14s}"
-    lines = [f"{'H':>2s} {'model':14s} {'windows':>7s} {heads}"]
-    for row in rows:
-        mean, low, high = row["pd"]
-        text = f"{mean:6.2f} [{low:5.2f},{high:5.2f}]"
-        truth = f"{row['pd_truth'][0]:14.2f}" if np.isfinite(row["pd_truth"][0]) else f"{'-':>14s}"
-        lines.append(
-            f"{row['horizon']:2d} {row['model']:14s} {row['windows']:7d} {text:>18s} {row['cd'][0]:8.2f} "
-            f"{row['s'][0]:8.2f} {row['cd+s'][0]:8.2f} {truth}"
-        )
-    if scores:
-        lines += ["", f"{'against the truth':40s} {'values':>7s} {'mean':>8s} {'median':>8s} {'p90':>8s}"]
-        lines += [
-            f"{s['score']:40s} {s['values']:7d} {s['mean']:8.3f} {s['median']:8.3f} {s['p90']:8.3f}" for s in scores
-        ]
-    return {"metrics": str(metrics.path), "rows": rows, "scores": scores}, lines
 
 
 def _quality(arrays: dict[str, np.ndarray], params: EvaluateParams) -> str:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import find_model, make_predict
+from piegraph_cli.dynamics.models import make_predict
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PlanParams
-from piegraph_cli.physics.springs import farthest_point_sample
+from piegraph_cli.physics.tracking import choose_particles
 from piegraph_cli.planning.cem import Plan, plan_strokes
 from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.mpc import Step, run_episode
@@ -22,7 +22,6 @@ from piegraph_cli.workspace.execute import Context, Output
 
 def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
-    find_model(params.model)
     if (params.env is None) == (params.state is None):
         raise UsageError("give either --env or --state", "piegraph plan", "as in piegraph plan --run RUN --env tblock")
     if params.state is not None and params.goal is None and params.goal_pose is None:
@@ -69,21 +68,30 @@ def _episode(network: Any, particles: int, params: PlanParams, index: int) -> Ep
 def _plan_once(network: Any, particles: int, params: PlanParams) -> Episode:
     assert params.state is not None
     cloud = read_points(params.state, None)
-    state = cloud[farthest_point_sample(cloud, particles)].astype(np.float32)
+    if len(cloud) < particles:
+        raise DataError(
+            f"{len(cloud)} points, the model needs {particles} or more", str(params.state), "give the whole cloud"
+        )
+    state = choose_particles(cloud, particles).astype(np.float32)
+    _check_inside(state, params, f"the object of {params.state}")
     goal, corresponds = _goal(params, state, None)
     cost, make_plan = _planner(network, state, goal, corresponds, params, [params.seed, 0])
+    start = float(cost(torch.as_tensor(state)[None])[0])
+    if start < params.success:
+        return goal, start, start, []
     plan = make_plan(torch.as_tensor(state))
     steps, before, unknown = [], state, np.full_like(state, np.nan)
     for k in range(len(plan.strokes)):
-        single = Plan(plan.strokes[k:], plan.predicted[k:], plan.cost)
+        single = Plan(plan.strokes[k:], plan.predicted[k:], float(cost(plan.predicted[k][None])[0]))
         steps.append(Step(single, before, unknown, float("nan"), False, 0.0))
         before = plan.predicted[k].numpy()
-    return goal, float(cost(torch.as_tensor(state)[None])[0]), float("nan"), steps
+    return goal, start, float("nan"), steps
 
 
 def _planner(
     network: Any, state: np.ndarray, goal: np.ndarray, corresponds: bool, params: PlanParams, seed: list[int]
 ) -> tuple[Cost, Callable[[torch.Tensor], Plan]]:
+    _check_inside(goal, params, "the goal")
     kind = params.cost if params.cost != "auto" else "distance" if corresponds else "chamfer"
     cost = make_cost(kind, torch.as_tensor(goal), len(state))
     predict = make_predict(params.model, network, torch.as_tensor(state), params)
@@ -105,6 +113,16 @@ def _planner(
         )
 
     return cost, make_plan
+
+
+def _check_inside(points: np.ndarray, params: PlanParams, what: str) -> None:
+    xmin, xmax, ymin, ymax = params.workspace[:4]
+    x, y = points[:, :2].mean(0)
+    if not (xmin <= x <= xmax and ymin <= y <= ymax):
+        raise DataError(
+            f"{what} lies around ({x:.2f}, {y:.2f}) m, outside plan.workspace",
+            hint="points are metres in the world frame; correct them, or widen --workspace",
+        )
 
 
 def _goal(params: PlanParams, state: np.ndarray, sample: Callable[[], np.ndarray] | None) -> tuple[np.ndarray, bool]:
@@ -182,7 +200,7 @@ def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray
     strokes = np.array([s.plan.strokes[0].numpy() for _, s in steps]).reshape(-1, 5)
 
     def states(values: list[np.ndarray]) -> np.ndarray:
-        return np.array(values, np.float32).reshape(-1, particles, 3)
+        return np.array(values, np.float32).reshape(len(values), particles, 3)
 
     return {
         "goal": np.array([goal for goal, *_ in episodes]).reshape(-1, size, 3),
@@ -203,6 +221,9 @@ def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray
 
 
 def _quality(arrays: dict[str, np.ndarray], params: PlanParams) -> str:
+    if params.state is not None and len(arrays["stroke"]) == 0:
+        start = arrays["start_distance"][0] * 100
+        return f"no stroke: {start:.1f} cm from the goal already, success is {params.success * 100:g} cm"
     if params.state is not None:
         return f"{len(arrays['stroke'])} strokes, predicted distance {arrays['cost'][-1] * 100:.1f} cm"
     solved = arrays["end_distance"] < params.success
@@ -228,4 +249,4 @@ def describe(plan: Artifact) -> tuple[dict[str, Any], list[str]]:
         )
     ends = plan["end_distance"].tolist()
     value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": "world", "units": "m"}
-    return value | {"end_distance": [None if np.isnan(e) else e for e in ends]}, lines
+    return value if np.isnan(ends).all() else value | {"end_distance": ends}, lines

@@ -1,7 +1,8 @@
 """The pictures of a run: overlays, cloud, tracks, losses, errors, plan and an animation, in RUN/report."""
 
+import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,44 +10,79 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import figures, overlays
+from piegraph_cli.evaluation.tables import summarise
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.stages.evaluate import summarise
 from piegraph_cli.stages.ingest import cameras_of, color_of
 from piegraph_cli.stages.scores import true_positions
-from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact
+from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact, read_key
 from piegraph_cli.workspace.run import Run
 
 SEQUENCES = 4
 """Pictures of single sequences are drawn of this many."""
 
+VERSION = 1
+"""Raised when pictures look different, so that they are drawn anew."""
+
 log = logging.getLogger("piegraph")
 
 
 def draw_report(folder: Path) -> list[Path]:
-    """Draw what the run has fresh or stale artifacts for; returns the files. Raises `DataError` when there is nothing."""
-    run = Run.open(folder)
-    out = folder / "report"
-    files = []
-    for name, picture in _pictures(run):
-        path = out / name
-        _save(path, picture)
-        files.append(path)
+    """Draw what the run has artifacts for; returns the files. Pictures whose artifacts have not changed are kept.
+
+    Raises `DataError` when there is nothing to draw.
+    """
+    run, out = Run.open(folder), folder / "report"
+    drawn, index = _read_index(out), {}
+    for group, sequence, names, draw in _groups(run):
+        keys = {name: key for name in names if (key := read_key(run.path(name, sequence), name))}
+        stamp = f"{VERSION} {sorted(keys.items())}"
+        kept = drawn.get(group, {})
+        if kept.get("stamp") == stamp and all((out / name).is_file() for name in kept["files"]):
+            index[group] = kept
+        elif keys:
+            index[group] = {
+                "stamp": stamp,
+                "files": [_save(out / name, picture) for name, picture in draw(run, sequence)],
+            }
+    files = [out / name for entry in index.values() for name in entry["files"]]
     if not files:
         raise DataError("nothing to draw yet", str(folder), f"piegraph run RECIPE --run {folder}")
+    with atomic_file(out / "index.json") as temporary:
+        temporary.write_text(json.dumps(index, indent=1))
     return files
 
 
-def _pictures(run: Run) -> Iterator[tuple[str, Any]]:
+def _read_index(out: Path) -> dict[str, dict[str, Any]]:
+    try:
+        return json.loads((out / "index.json").read_text())
+    except (OSError, ValueError):
+        return {}
+
+
+def _groups(run: Run) -> Iterator[tuple[str, Any, tuple[str, ...], Callable[..., Iterator[tuple[str, Any]]]]]:
+    """Groups of pictures: name, sequence, the artifacts they show, and what draws them."""
     for sequence in run.sequences[:SEQUENCES]:
-        yield from _sequence_pictures(run, sequence)
+        yield sequence, sequence, ("frames", "hands", "masks", "clouds", "tracks"), _sequence_pictures
+    yield "model", None, ("model",), _model_pictures
+    yield "metrics", None, ("metrics",), _metrics_pictures
+    yield "plan", None, ("plan",), _plan_pictures
+
+
+def _model_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
     model = _read(run, "model", None)
     if model is not None:
         yield "training.png", figures.loss_figure(model["step"], model["train_loss"], model["validation_loss"])
+
+
+def _metrics_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
     metrics = _read(run, "metrics", None)
     if metrics is not None:
         yield "errors.png", figures.error_figure(summarise(metrics.arrays))
         if len(metrics["score_name"]):
             yield "scores.png", figures.score_figure(metrics.arrays)
+
+
+def _plan_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
     plan = _read(run, "plan", None)
     if plan is not None:
         for episode in np.unique(plan["episode"])[:3]:
@@ -134,8 +170,8 @@ def _plan_picture(plan: Artifact, episode: int) -> Any:
     return figures.plan_figure(steps, plan["goal"][episode], f"Plan {episode}: {start:.1f} cm from the goal, {ending}")
 
 
-def _save(path: Path, picture: Any) -> None:
-    """A figure or an RGB image as PNG, a list of images as an animated WebP (small, all colours; browsers show it)."""
+def _save(path: Path, picture: Any) -> str:
+    """Save a figure or an RGB image as PNG, a list of images as an animated WebP, small and in all colours; its name."""
     from PIL import Image
 
     with atomic_file(path) as temporary:
@@ -148,3 +184,4 @@ def _save(path: Path, picture: Any) -> None:
             Image.fromarray(picture).save(temporary, "PNG")
         else:
             picture.savefig(temporary, format="png", dpi=110)
+    return path.name

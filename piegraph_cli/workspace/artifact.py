@@ -161,12 +161,28 @@ def read_artifact(path: Path, name: str) -> Artifact:
 
 def read_key(path: Path, name: str) -> str | None:
     """The key of an artifact, or None when it is absent, damaged or of another version: then it is made again."""
+    header = read_header(path, name)
+    return header.key if header else None
+
+
+@dataclass(frozen=True)
+class Header:
+    """What an artifact says of itself, without its data."""
+
+    key: str
+    version: int
+    params: dict[str, Any]
+
+
+def read_header(path: Path, name: str) -> Header | None:
+    """The header of an artifact, or None when it is absent, damaged or of another schema."""
     if not path.is_file():
         return None
     try:
         with _open(path, name) as file:
-            return _attributes(file, path, name)["key"]
-    except DataError:
+            attributes = _attributes(file, path, name)
+            return Header(attributes["key"], int(file.attrs["stage_version"]), json.loads(attributes["params"]))
+    except (DataError, KeyError, ValueError):
         return None
 
 

@@ -12,12 +12,15 @@ from typing import Any, Literal
 import numpy as np
 from filelock import Timeout
 
-from piegraph_cli.errors import DataError, PiegraphError, UsageError
+from piegraph_cli.errors import DataError, MissingError, PiegraphError
 from piegraph_cli.stages import STAGES, Stage
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, remove_leftovers, write_artifact
+from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 
 log = logging.getLogger("piegraph")
+
+LEFT_OUT = "left out, since it failed before"
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ class Options:
     jobs: int = 1
     backend: Literal["local", "ray"] = "local"
     device: str = "auto"
+    recipe: Recipe | None = None
+    """Settings to run with in place of the run's own."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +106,15 @@ class Outcome:
 
 
 def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
-    """Run one stage over all its units; a unit that fails leaves the others be. Failures are recorded in the run."""
-    run = Run.open(folder)
+    """Run one stage over all its units; a unit that fails leaves the others be. Failures are recorded in the run.
+
+    Sequences that failed in an earlier stage are failures here as well, without being tried.
+    """
+    run = Run.open(folder, options.recipe)
     if stage.per == "run":
         _require_inputs(run, stage)
-    units = [u for u in run.units(stage) if u is None or not _failed_earlier(run, stage, u)]
+    left_out = {u: why for u in run.units(stage) if u is not None and (why := _failed_earlier(run, stage, u))}
+    units = [u for u in run.units(stage) if u not in left_out]
     todo = [u for u in units if options.force or run.state(stage, u) != "fresh"]
     outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in todo]
     jobs = max(1, min(options.jobs, len(todo)))
@@ -113,8 +122,10 @@ def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
     failed = {o.sequence: o.error for o in outcomes if o.error}
     if todo:
         run.record_failures(stage, failed)
-    for outcome in sorted(outcomes, key=lambda o: o.sequence or ""):
-        _log_outcome(outcome)
+    _log_outcomes(outcomes)
+    for unit, why in left_out.items():
+        error = DataError(f"{LEFT_OUT}: {why.splitlines()[0]}", str(unit))
+        outcomes.append(Outcome(stage.name, unit, "failed", 0.0, error=error))
     return sorted(outcomes, key=lambda o: o.sequence or "")
 
 
@@ -129,20 +140,30 @@ def _parallel(run: Run, stage: Stage, units: list[str | None], options: Options,
         import joblib
 
         if options.backend == "ray":
-            from ray.util.joblib import register_ray
-
-            register_ray()
+            _register_ray()
         # joblib replaces workers that have grown, which is no news to a user
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given to the executor")
         with joblib.parallel_config(backend="ray" if options.backend == "ray" else "loky", n_jobs=jobs):
             parallel = joblib.Parallel(return_as="generator")
             work = parallel(joblib.delayed(run_unit)(run.folder, stage.name, u, options, True) for u in units)
-            return [outcome for outcome in work if bar.update() or True]
+            try:
+                return [outcome for outcome in work if bar.update() or True]
+            except KeyboardInterrupt:
+                joblib.externals.loky.get_reusable_executor().shutdown(wait=True, kill_workers=True)
+                raise
+
+
+def _register_ray() -> None:
+    try:
+        from ray.util.joblib import register_ray
+    except ImportError:
+        raise MissingError("ray is not installed", hint="pip install 'piegraph[cluster]'") from None
+    register_ray()
 
 
 def run_unit(folder: Path, stage_name: str, sequence: str | None, options: Options, quiet: bool = True) -> Outcome:
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
-    stage, run, start = STAGES[stage_name], Run.open(folder), time.monotonic()
+    stage, run, start = STAGES[stage_name], Run.open(folder, options.recipe), time.monotonic()
     try:
         path = run.path(stage.writes, sequence)
         with _locked(run, stage, sequence) as waited:
@@ -229,10 +250,10 @@ def _require_inputs(run: Run, stage: Stage) -> None:
             )
 
 
-def _failed_earlier(run: Run, stage: Stage, sequence: str) -> bool:
+def _failed_earlier(run: Run, stage: Stage, sequence: str) -> str | None:
     chain = run.recipe.chain()
     before = chain[: chain.index(stage)] if stage in chain else []
-    return bool(before) and run.failure(before[-1], sequence) is not None
+    return run.failure(before[-1], sequence) if before else None
 
 
 def _quality(run: Run, stage: Stage, sequence: str | None) -> str:
@@ -261,28 +282,33 @@ class _locked:
         self.lock.release()
 
 
-def _log_outcome(outcome: Outcome) -> None:
-    name = f"{outcome.stage} {outcome.sequence}" if outcome.sequence else outcome.stage
-    if outcome.error:
-        log.error("%s failed: %s", name, outcome.error)
-        log.debug("%s", getattr(outcome.error, "traceback", ""))
-    elif outcome.state == "done":
-        log.debug("%s: %s (%.1f s)", name, outcome.quality, outcome.seconds)
-        for warning in outcome.warnings:
-            log.warning("%s: %s", name, warning)
+def _log_outcomes(outcomes: list[Outcome]) -> None:
+    """Failures and warnings to the user, equal ones once; everything to the log file."""
+    failures: dict[str, list[Outcome]] = {}
+    for outcome in sorted(outcomes, key=lambda o: o.sequence or ""):
+        name = f"{outcome.stage} {outcome.sequence}" if outcome.sequence else outcome.stage
+        if outcome.error:
+            failures.setdefault(str(outcome.error), []).append(outcome)
+            log.debug("%s", getattr(outcome.error, "traceback", ""))
+        elif outcome.state == "done":
+            log.debug("%s: %s (%.1f s)", name, outcome.quality, outcome.seconds)
+            for warning in outcome.warnings:
+                log.warning("%s: %s", name, warning)
+    for message, same in failures.items():
+        names = ", ".join(o.sequence for o in same if o.sequence)
+        log.error("%s failed%s: %s", same[0].stage, f" on {names}" if names else "", message)
 
 
 def run_chain(folder: Path, until: str | None, options: Options) -> list[Outcome]:
     """Run a recipe's stages in order, each on what the stages before it could make."""
-    chain = Run.open(folder).recipe.chain()
-    if until is not None and until not in [stage.name for stage in chain]:
-        raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(s.name for s in chain)}")
+    chain = Run.open(folder, options.recipe).recipe.chain()
     outcomes: list[Outcome] = []
     for stage in chain:
         begin = time.monotonic()
-        outcomes += run_stage(folder, stage, options)
+        found = run_stage(folder, stage, options)
+        outcomes += [o for o in found if not (o.error and o.error.message.startswith(LEFT_OUT))]
         log.info("%-9s %6.1f s", stage.name, time.monotonic() - begin)
-        if (stage.per == "run" and outcomes[-1].error) or stage.name == until:
+        if (stage.per == "run" and found[-1].error) or stage.name == until:
             break
     return outcomes
 
@@ -302,6 +328,7 @@ def status(folder: Path) -> list[dict[str, Any]]:
                     "state": state,
                     "quality": _quality(run, stage, unit) if state == "fresh" else "",
                     "failure": (run.failure(stage, unit) if state == "failed" and unit else None) or "",
+                    "reason": run.why_stale(stage, unit) if state == "stale" else "",
                 }
             )
     return rows

@@ -39,9 +39,7 @@ class Recipe:
 
         Raises `UsageError` for unknown or wrong ones.
         """
-        replaced = {
-            b for pair in stage.params.exclusive for a, b in (pair, pair[::-1]) if a in values and b not in values
-        }
+        replaced = set(stage.params.query) if set(stage.params.query) & set(values) else set()
         section = {k: v for k, v in self.sections.get(stage.name, {}).items() if k not in replaced} | dict(values)
         for name, file in _validate(stage, section, where).files().items():
             if name in values:

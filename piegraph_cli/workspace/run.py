@@ -13,7 +13,7 @@ from piegraph_cli.errors import DataError, PiegraphError, UsageError
 from piegraph_cli.params import IngestParams, SimulateParams
 from piegraph_cli.recording.layout import list_sequences
 from piegraph_cli.stages import STAGES, Stage
-from piegraph_cli.workspace.artifact import atomic_file, read_key
+from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_header, read_key
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 
 
@@ -26,12 +26,14 @@ class Run:
     _keys: dict[tuple[str, str | None], str | None] = field(default_factory=dict)
 
     @classmethod
-    def open(cls, folder: Path) -> "Run":
-        """An existing run, or an empty one where there is none yet."""
+    def open(cls, folder: Path, recipe: Recipe | None = None) -> "Run":
+        """An existing run, or an empty one where there is none yet; with another recipe than the one it keeps."""
         path = folder / "recipe.toml"
         if folder.exists() and not folder.is_dir():
             raise UsageError("is a file", str(folder), "give --run a folder")
-        return cls(folder, load_recipe(path) if path.exists() else Recipe())
+        if recipe is None:
+            recipe = load_recipe(path) if path.exists() else Recipe()
+        return cls(folder, recipe)
 
     def save_recipe(self) -> None:
         """Keep the recipe in force in the run folder."""
@@ -64,6 +66,8 @@ class Run:
             params = self.recipe.params(STAGES["simulate"])
             assert isinstance(params, SimulateParams)
             return [f"sequence_{i:04d}" for i in range(params.sequences)]
+        if not self.recording.exists() and (self.folder / "frames").is_dir():
+            return sorted(path.stem for path in (self.folder / "frames").glob("*.h5"))
         return [folder.name for folder in list_sequences(self.recording)]
 
     @property
@@ -102,6 +106,10 @@ class Run:
         if slot not in self._keys:
             params = self.recipe.params(stage)
             settings = params.model_dump(mode="json")
+            gone = [path for path in params.files().values() if not path.exists()]
+            if gone and (kept := self._kept_key(stage, sequence, settings)):
+                self._keys[slot] = kept
+                return kept
             for name, path in params.files().items():
                 settings[name] = content_hash(path / sequence if path.is_dir() and sequence else path, name)
             inputs = [[name, s, self.key(self.producer(name), s)] for name, s in self.inputs(stage, sequence)]
@@ -109,6 +117,27 @@ class Run:
             text = json.dumps([stage.name, stage.version, unit, settings, inputs], sort_keys=True)
             self._keys[slot] = hashlib.sha256(text.encode()).hexdigest()
         return self._keys[slot]  # type: ignore[return-value]
+
+    def _kept_key(self, stage: Stage, sequence: str | None, settings: dict[str, Any]) -> str | None:
+        """The key of an artifact whose source files are gone, if it was made with these settings: it stays usable."""
+        header = read_header(self.path(stage.writes, sequence), stage.writes)
+        return header.key if header and (header.version, header.params) == (stage.version, settings) else None
+
+    def why_stale(self, stage: Stage, sequence: str | None) -> str:
+        """What differs between a stale artifact and the one that would be made."""
+        path = self.path(stage.writes, sequence)
+        header = read_header(path, stage.writes)
+        if header is None:
+            try:
+                read_artifact(path, stage.writes)
+            except DataError as error:
+                return error.message
+            return "unreadable"
+        if header.version != stage.version:
+            return f"made by version {header.version} of the stage, this is version {stage.version}"
+        settings = self.recipe.params(stage).model_dump(mode="json")
+        changed = [name for name, value in settings.items() if header.params.get(name) != value]
+        return f"settings changed: {', '.join(changed)}" if changed else "what it was made from has changed"
 
     def state(self, stage: Stage, sequence: str | None) -> str:
         """`fresh`, `stale`, `missing` or `failed`."""

@@ -3,17 +3,20 @@
 import shutil
 import threading
 import time
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import EnvironmentName, ModelName
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage, run_unit, status
 from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting, shipped
 from piegraph_cli.workspace.run import Run, content_hash
 from tests.cli import piegraph
+from tests.stages.make_recording import make_recording
 
 
 def run_of(folder, **sections) -> Run:
@@ -126,10 +129,32 @@ def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
     assert recipe.params(STAGES["plan"]).goal == f"{tmp_path}/rec/goal.ply:3"
 
 
-def test_one_of_two_exclusive_settings_replaces_the_other(tmp_path):
-    recipe = Recipe({"plan": {"env": "tblock", "goal": "a.ply"}})
+def test_a_new_question_forgets_the_old_one(tmp_path):
+    recipe = Recipe({"plan": {"env": "tblock", "goal": "a.ply", "samples": 20}})
     recipe = recipe.with_values(STAGES["plan"], {"state": "now.ply"}, "test", tmp_path)
-    assert recipe.sections["plan"] == {"goal": "a.ply", "state": str(tmp_path / "now.ply")}
+    assert recipe.sections["plan"] == {"samples": 20, "state": str(tmp_path / "now.ply")}
+
+
+def test_a_recording_that_was_moved_away_leaves_its_artifacts_usable(tmp_path):
+    recording = make_recording(tmp_path / "rec")
+    run = Run(tmp_path / "run", Recipe({"ingest": {"recording": str(recording)}}))
+    run.save_recipe()
+    run_stage(run.folder, STAGES["ingest"], Options())
+    recording.rename(tmp_path / "elsewhere")
+    moved = Run.open(run.folder)
+    assert moved.sequences == ["seq 0", "seq 1"]
+    assert [moved.state(STAGES["ingest"], s) for s in moved.sequences] == ["fresh", "fresh"]
+    other = Run(run.folder, Recipe({"ingest": {"recording": str(tmp_path / "none")}}))
+    with pytest.raises(DataError, match="no such file or folder"):
+        other.key(STAGES["ingest"], "seq 0")
+
+
+def test_the_names_in_settings_are_those_of_the_tables():
+    from piegraph_cli.dynamics.models import MODELS
+    from piegraph_cli.environments import ENVIRONMENTS
+
+    assert set(get_args(ModelName)) == set(MODELS)
+    assert set(get_args(EnvironmentName)) == set(ENVIRONMENTS)
 
 
 def test_settings_from_the_command_line():

@@ -196,3 +196,12 @@ def test_resampling_takes_the_nearest_frames_once_each():
     slow = {"a": np.arange(5) * 0.5}
     time, source = align_frames(slow, 5.0, 0.05, "here")
     assert source[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("fps", [1.0, 2.0, 2.5, 3.0, 4.0])
+def test_resampling_keeps_the_cameras_together(fps):
+    times = {"a": np.arange(50) / 5, "b": np.arange(50) / 5 + 0.003}
+    time, source = align_frames(times, fps, 0.05, "here")
+    assert (source[:, 0] == source[:, 1]).all()
+    assert (np.diff(source[:, 0]) > 0).all()
+    assert np.diff(time).mean() == pytest.approx(1 / fps, rel=0.05)

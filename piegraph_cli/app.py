@@ -122,7 +122,7 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
     """
 
     def command(run: Path, force: bool, jobs: int, backend: str, device: str, as_json: bool, **values: Any) -> None:
-        from piegraph_cli.workspace.execute import Options, run_stage
+        from piegraph_cli.workspace.execute import LEFT_OUT, Options, run_stage
         from piegraph_cli.workspace.run import Run
 
         given = {name: value for name, value in values.items() if value is not None}
@@ -133,6 +133,9 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
         options = Options(force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
         with _logging_to(run):
             outcomes = run_stage(run, stage, options)
+            for outcome in outcomes:
+                if outcome.error and outcome.error.message.startswith(LEFT_OUT):
+                    logging.getLogger("piegraph").error("%s", outcome.error)
             if stage.name != "plan" and any(not o.error for o in outcomes):
                 opened.save_recipe()
             report = _summary(outcomes, run)
@@ -239,7 +242,7 @@ def status(run: RunFolder, as_json: AsJson = False) -> None:
     rows = rows_of(run)
     lines = [f"{'stage':10s} {'sequence':16s} {'state':8s} quality"]
     for r in rows:
-        why = r["quality"] or r["failure"] or r["reason"]
+        why = (r["quality"] or r["failure"] or r["reason"]).replace("\n ", ";")
         lines.append(f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {why}")
     _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
 

@@ -20,6 +20,11 @@ def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Outpu
     assert context.sequence is not None
     folder = context.run.recording / context.sequence
     cameras = read_cameras(folder)
+    sizes = {f"{camera.name} {camera.width} x {camera.height}" for camera in cameras}
+    if len({(camera.width, camera.height) for camera in cameras}) > 1:
+        raise DataError(
+            f"cameras differ in image size: {', '.join(sorted(sizes))}", str(folder), "record all at one size"
+        )
     times = {camera.name: read_times(folder, camera) for camera in cameras}
     files = {camera.name: frame_files(folder, camera) for camera in cameras}
     _check_counts(folder, times, files)

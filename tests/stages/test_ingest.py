@@ -14,6 +14,7 @@ from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
+from tests.cli import piegraph, piegraph_json
 from tests.stages.make_recording import make_recording
 
 
@@ -154,6 +155,7 @@ BAD = [
     (change_camera(K=[[0, 0, 0]] * 3), "positive focal lengths"),
     (change_camera(distortion=[0.1]), "five finite numbers"),
     (change_camera(typo=1), "cameras.front.typo"),
+    (change_camera(width=32), "cameras differ in image size: front 32 x 48, left cam 64 x 48"),
 ]
 
 
@@ -205,3 +207,13 @@ def test_resampling_keeps_the_cameras_together(fps):
     assert (source[:, 0] == source[:, 1]).all()
     assert (np.diff(source[:, 0]) > 0).all()
     assert np.diff(time).mean() == pytest.approx(1 / fps, rel=0.05)
+
+
+def test_later_stages_say_what_was_left_out_and_why(recording, tmp_path):
+    break_image(recording / "seq 0")
+    piegraph("ingest", "--run", tmp_path / "run", "--recording", recording, check=3)
+    done = piegraph("hands", "--run", tmp_path / "run", check=3)
+    assert "seq 0: left out, since it failed before" in done.stderr
+    assert "no camera sees a hand" in done.stderr, "seq 1 was tried"
+    rows = piegraph_json("status", "--run", tmp_path / "run")["artifacts"]
+    assert [r["state"] for r in rows if r["stage"] == "hands"] == ["failed", "failed"]

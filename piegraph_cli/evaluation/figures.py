@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 
-GOAL, OBJECT, PREDICTED, TRUE = "#d62728", "#1f4e9c", "#2ca02c", "#ff9f1c"
+GOAL, OBJECT, PREDICTED = "#d62728", "#1f4e9c", "#2ca02c"
 
 
 def particle_colors(positions: np.ndarray) -> np.ndarray:

@@ -3,23 +3,64 @@
 Nothing else in piegraph imports this package for a prediction: a model that has seen the simulator has cheated.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
+from typing import Any
 
+from pydantic import ValidationError
+
+from piegraph_cli import params
 from piegraph_cli.errors import MissingError, UsageError
-
-ENVIRONMENTS = {"tblock": "piegraph_cli.environments.tblock:TBlock"}
-"""Name to "module:Class"; each class is a gymnasium.Env with the methods of `tblock.TBlock`."""
+from piegraph_cli.params import Params
 
 
-def make(name: str, **options):
-    """Build the environment of that name; `options` go to its class.
+@dataclass(frozen=True)
+class Entry:
+    """One environment: its class as "module:Class", its options, and what else the class is made with."""
 
-    Raises UsageError for an unknown name and MissingError where the `sim` extra is not installed.
+    target: str
+    options: type[Params]
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+
+
+ENVIRONMENTS = {
+    "tblock": Entry("tblock:TBlock", params.TBlockOptions),
+    "rope-stiff": Entry("rope:Rope", params.RopeOptions),
+    "rope-bendy": Entry("rope:Rope", params.BendyRopeOptions),
+    "tshirt": Entry("cloth:Cloth", params.TShirtOptions, {"outline": "tshirt"}),
+    "cloth": Entry("cloth:Cloth", params.ClothOptions, {"outline": "square"}),
+    "toy": Entry("toy:Toy", params.ToyOptions),
+    "daxbench-rope": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "rope"}),
+    "daxbench-tshirt": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "tshirt"}),
+}
+"""Every environment by name; each class is a `base.Environment`."""
+
+
+def make(name: str, particles: int = 50, options: Mapping[str, Any] | None = None):
+    """Build the environment of that name.
+
+    Raises UsageError for an unknown name or option, and MissingError where the `sim` extra is not installed.
     """
     if name not in ENVIRONMENTS:
         raise UsageError(f"no environment named {name!r}", hint=f"one of: {', '.join(sorted(ENVIRONMENTS))}")
-    module, _, cls = ENVIRONMENTS[name].partition(":")
-    return getattr(import_extra(module), cls)(**options)
+    entry = ENVIRONMENTS[name]
+    checked = check_options(name, options or {})
+    module, _, cls = entry.target.partition(":")
+    return getattr(import_extra(f"{__name__}.{module}"), cls)(particles, checked, **entry.fixed)
+
+
+def check_options(name: str, options: Mapping[str, Any]) -> Params:
+    """The validated options of an environment. Raises UsageError that lists what there is."""
+    model = ENVIRONMENTS[name].options
+    try:
+        return model.model_validate(dict(options))
+    except ValidationError as error:
+        problem = error.errors()[0]
+        known = "; ".join(f"{n}: {f.description}" for n, f in model.model_fields.items())
+        raise UsageError(
+            f"option {'.'.join(map(str, problem['loc']))}: {problem['msg']}", name, f"its options are {known}"
+        ) from None
 
 
 def import_extra(module: str):

@@ -11,7 +11,7 @@ from piegraph_cli.environments.hand import Hand
 from piegraph_cli.environments.hand_motion import TIP_HEIGHT, Grip, arm_at, choose_grip, hand_colors
 from piegraph_cli.environments.render import BLOCK, HAND, Part, Renderer
 from piegraph_cli.environments.shapes import place
-from piegraph_cli.environments.tblock import FRAME_RATE
+from piegraph_cli.environments.base import FRAME_RATE, MODE_NAMES
 from piegraph_cli.recording.camera import Camera
 
 _LIFT = 0.085
@@ -55,32 +55,36 @@ class Frame:
     """[C] time stamps, seconds."""
 
 
-def simulate_tracks(env, seed: int, strokes: int) -> dict[str, np.ndarray]:
+def simulate_tracks(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """Particle tracks of random strokes, straight from the simulation.
 
-    Returns `positions` [F, N, 3] float32 (m), `time` [F] (s), `end_effector` [F, 3] (m), `contact` [F] bool and `poses`
-    [F, 3]: each stroke's frames at 5 Hz with contact true, before each of them one frame with contact false.
+    `modes` are drawn from for every stroke; by default the environment's main one. Returns `positions` [F, N, 3] float32
+    (m), `time` [F] (s), `end_effector` [F, 3] (m), `contact` [F] bool and `mode` [F]: each stroke's frames at 5 Hz with
+    contact true, before each of them one frame with contact false.
     """
     rows = []
-    for stroke in _play(env, seed, strokes):
+    for stroke in _play(env, seed, strokes, modes):
         count = len(stroke["frames"])
-        first = (stroke["frames"][:1], stroke["pusher"][:1], stroke["poses"][:1], [False])
-        rows += [first, (stroke["frames"], stroke["pusher"], stroke["poses"], [True] * count)]
-    positions, pusher, poses, contact = (np.concatenate([row[k] for row in rows]) for k in range(4))
+        mode = [stroke["mode"]] * (count + 1)
+        first = (stroke["frames"][:1], stroke["pusher"][:1], [False], mode[:1])
+        rows += [first, (stroke["frames"], stroke["pusher"], [True] * count, mode[1:])]
+    positions, pusher, contact, mode = (np.concatenate([row[k] for row in rows]) for k in range(4))
     return {
         "positions": positions,
         "time": np.arange(len(positions)) / FRAME_RATE,
-        "end_effector": np.column_stack([pusher, np.full(len(pusher), TIP_HEIGHT)]),
+        "end_effector": pusher,
         "contact": contact,
-        "poses": poses,
+        "mode": mode.astype(np.uint8),
     }
 
 
-def _play(env, seed: int, strokes: int) -> Iterator[dict]:
+def _play(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> Iterator[dict]:
+    """The info of each random stroke, and its `mode`."""
     rng = np.random.default_rng([seed, 3])  # apart from the stream that `reset` draws the pose from
     env.reset(seed=seed)
     for _ in range(strokes):
-        yield env.step(env.sample_stroke(rng))[4]
+        mode = MODE_NAMES.index(modes[rng.integers(len(modes))]) if modes else env.modes[0]
+        yield env.step(env.sample_stroke(rng, mode))[4] | {"mode": mode}
 
 
 def plan_moments(env, seed: int, strokes: int, hand: Hand) -> list[Moment]:

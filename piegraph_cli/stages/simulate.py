@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from piegraph_cli.params import SimulateParams
+from piegraph_cli.params import EnvironmentParams, SimulateParams
 from piegraph_cli.recording.images import encode_masks
 from piegraph_cli.recording.layout import write_cameras, write_frame, write_times
 from piegraph_cli.workspace.artifact import read_key, write_artifact
@@ -18,21 +18,27 @@ JPEG_QUALITY = 82
 
 def run(inputs: dict[str, Any], params: SimulateParams, context: Context) -> Output:
     """Simulate one sequence."""
-    from piegraph_cli.environments import import_extra, make
+    from piegraph_cli.environments import import_extra
 
     assert context.sequence is not None
     index = int(context.sequence.rsplit("_", 1)[1])
-    environment = make(params.environment, particles=params.particles)
+    environment = make_environment(params.environment, params.particles, params)
     recording = import_extra("piegraph_cli.environments.recording")
-    tracks = recording.simulate_tracks(environment, sequence_seed(params, index), params.strokes)
+    tracks = recording.simulate_tracks(environment, sequence_seed(params, index), params.strokes, params.modes)
     frames, particles = tracks["positions"].shape[:2]
-    arrays = {name: tracks[name] for name in ("positions", "time", "end_effector", "contact")}
-    arrays |= {
-        "residual": np.zeros(frames),
-        "visibility": np.ones((frames, particles)),
-        "mode": np.zeros(frames, np.uint8),
-    }
+    arrays = tracks | {"residual": np.zeros(frames), "visibility": np.ones((frames, particles))}
     return Output(arrays, f"{frames} frames, {params.strokes} strokes, {particles} particles")
+
+
+def make_environment(name: str, particles: int, params: EnvironmentParams) -> Any:
+    """The environment of that name with the options that are given for it."""
+    from piegraph_cli.environments import make
+
+    options = dict(params.options)
+    if name.startswith("daxbench-"):
+        given = {"python": params.daxbench_python, "repo": params.daxbench_repo}
+        options |= {k: str(v) for k, v in given.items() if v is not None}
+    return make(name, particles, options)
 
 
 def sequence_seed(params: SimulateParams, index: int) -> int:
@@ -63,7 +69,6 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
 
 
 def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bool) -> None:
-    from piegraph_cli.environments import make
     from piegraph_cli.environments.hand import load_hand
     from piegraph_cli.environments.recording import record
     from piegraph_cli.environments.rig import camera_rig
@@ -75,7 +80,7 @@ def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bo
     partial = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     cameras, times, truth = camera_rig(), [], []
-    environment = make(params.environment, particles=params.particles)
+    environment = make_environment(params.environment, params.particles, params)
     for number, frame in enumerate(
         record(environment, sequence_seed(params, index), params.strokes, cameras, load_hand())
     ):

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from piegraph_cli import environments
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.environments.shapes import place, t_block
-from piegraph_cli.environments.tblock import CLEARANCE, PUSHER_RADIUS, REACH, STROKE_LENGTHS
+from piegraph_cli.environments.base import CLEARANCE, PUSHER_RADIUS, REACH, STROKE_LENGTHS
 from piegraph_cli.errors import MissingError, UsageError
 
 
@@ -52,15 +52,15 @@ def test_first_stroke_is_independent_of_the_first_pose(env):
     for seed in range(60):
         track = simulate_tracks(env, seed, 1)
         along = track["end_effector"][-1] - track["end_effector"][0]
-        start.append(track["poses"][0])
+        start.append(track["positions"][0].mean(0)[:2])
         heading.append(math.atan2(along[1], along[0]))
     assert np.abs(np.corrcoef(np.array(start).T, heading)[-1, :-1]).max() < 0.4
 
 
 def test_golden_trajectory(env):
     env.reset(options={"pose": [0.02, -0.01, 0.5]})
-    poses = [env.step({"start": [-0.14, 0.05], "end": [-0.02, 0.05], "mode": 0})[4]["poses"][-1]]
-    poses.append(env.step({"start": [0.05, -0.2], "end": [0.03, -0.08], "mode": 0})[4]["poses"][-1])
+    poses = [env.step({"start": [-0.14, 0.05], "end": [-0.02, 0.05], "mode": 0})[4]["shapes"][-1]]
+    poses.append(env.step({"start": [0.05, -0.2], "end": [0.03, -0.08], "mode": 0})[4]["shapes"][-1])
     np.testing.assert_allclose(
         poses, [[0.0397370, -0.0208117, 0.3814158], [0.0403845, 0.0599040, 0.2724120]], atol=1e-5
     )
@@ -90,7 +90,7 @@ def test_pusher_stays_outside_and_particles_stay_rigid(env):
     shape = np.linalg.norm(env.body_particles[:, None] - env.body_particles, axis=-1)
     for _ in range(8):
         _, _, _, _, info = env.step(env.sample_stroke(rng))
-        gaps = [distance_to_block(env, p, c[None])[0] for p, c in zip(info["poses"], info["pusher"], strict=True)]
+        gaps = [distance_to_block(env, p, c[None])[0] for p, c in zip(info["shapes"], info["pusher"][:, :2], strict=True)]
         assert min(gaps) > PUSHER_RADIUS - 1e-3
         for frame in info["frames"]:
             np.testing.assert_allclose(np.linalg.norm(frame[:, None] - frame, axis=-1), shape, atol=1e-6)
@@ -142,7 +142,7 @@ def test_goals_are_reachable_poses(env):
 @pytest.mark.parametrize(
     ("action", "reason"),
     [
-        ({"start": [0, 0.3], "end": [0.1, 0.3], "mode": 1}, "picked"),
+        ({"start": [0, 0.3], "end": [0.1, 0.3], "mode": 1}, "knows no pick"),
         ({"start": [0, 0.3], "end": [0, 0.3], "mode": 0}, "heading"),
         ({"start": [0, np.nan], "end": [0, 0.3], "mode": 0}, "finite"),
     ],

@@ -9,8 +9,6 @@ from piegraph_cli.environments.hand import Hand
 
 PERSON = np.array([0.04, -0.78, 0.30])
 """Where the forearm comes from, metres: the person stands at the table's -y side."""
-TIP_HEIGHT = 0.018
-"""Of the fingertips' middle while they push, metres."""
 _SHOULDER = np.array([0.08, -0.80, 0.62])
 _FOREARM, _CUFF = 0.26, 0.012
 _SIDES = 24

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from piegraph_cli.environments import noise
+from piegraph_cli.environments.base import FRAME_RATE, MODE_NAMES, TIP_HEIGHT, Environment
 from piegraph_cli.environments.hand import Hand
-from piegraph_cli.environments.hand_motion import TIP_HEIGHT, Grip, arm_at, choose_grip, hand_colors
-from piegraph_cli.environments.render import BLOCK, HAND, Part, Renderer
-from piegraph_cli.environments.shapes import place
-from piegraph_cli.environments.base import FRAME_RATE, MODE_NAMES
+from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, hand_colors
+from piegraph_cli.environments.render import HAND, OBJECT, Part, Renderer, Solid
 from piegraph_cli.recording.camera import Camera
 
 _LIFT = 0.085
@@ -27,8 +26,8 @@ class Moment:
 
     time: float
     """Seconds since the recording began."""
-    pose: np.ndarray
-    """[3] the block's x, y (m) and yaw (rad)."""
+    shape: np.ndarray
+    """The object's configuration, as the environment's `surface` takes it."""
     tip: np.ndarray | None
     """[3] the fingertips (the pusher's centre), metres; None while the hand is out of the scene."""
     grip: Grip | None
@@ -55,7 +54,7 @@ class Frame:
     """[C] time stamps, seconds."""
 
 
-def simulate_tracks(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+def simulate_tracks(env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """Particle tracks of random strokes, straight from the simulation.
 
     `modes` are drawn from for every stroke; by default the environment's main one. Returns `positions` [F, N, 3] float32
@@ -64,10 +63,9 @@ def simulate_tracks(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -
     """
     rows = []
     for stroke in _play(env, seed, strokes, modes):
-        count = len(stroke["frames"])
-        mode = [stroke["mode"]] * (count + 1)
-        first = (stroke["frames"][:1], stroke["pusher"][:1], [False], mode[:1])
-        rows += [first, (stroke["frames"], stroke["pusher"], [True] * count, mode[1:])]
+        for frames, touching in ((slice(0, 1), False), (slice(None), True)):
+            path = stroke["pusher"][frames]
+            rows.append((stroke["frames"][frames], path, [touching] * len(path), [stroke["mode"]] * len(path)))
     positions, pusher, contact, mode = (np.concatenate([row[k] for row in rows]) for k in range(4))
     return {
         "positions": positions,
@@ -78,7 +76,7 @@ def simulate_tracks(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -
     }
 
 
-def _play(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> Iterator[dict]:
+def _play(env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> Iterator[dict]:
     """The info of each random stroke, and its `mode`."""
     rng = np.random.default_rng([seed, 3])  # apart from the stream that `reset` draws the pose from
     env.reset(seed=seed)
@@ -87,32 +85,28 @@ def _play(env, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> Iterator
         yield env.step(env.sample_stroke(rng, mode))[4] | {"mode": mode}
 
 
-def plan_moments(env, seed: int, strokes: int, hand: Hand) -> list[Moment]:
+def plan_moments(env: Environment, seed: int, strokes: int, hand: Hand, modes: tuple[str, ...] = ()) -> list[Moment]:
     """The whole recording frame by frame: no hand, approach, strokes with transits between them, retreat, no hand."""
     path: list[tuple] = []
-    for number, stroke in enumerate(_play(env, seed, strokes)):
-        tips = np.column_stack([stroke["pusher"], np.full(len(stroke["pusher"]), TIP_HEIGHT)])
+    for number, stroke in enumerate(_play(env, seed, strokes, modes)):
+        shapes, tips = stroke["shapes"], stroke["pusher"]
         along = tips[-1] - tips[0]
-        poses = stroke["poses"]
-        grip = choose_grip(
-            hand,
-            math.atan2(along[1], along[0]),
-            tips,
-            lambda k, points, p=poses: env.block.inside(_to_body(points, p[k])),
-        )
-        before = path[-1] if path else (poses[0], _AWAY, grip, -1)
+        solids = [Solid(vertices, env.triangles) for vertices in env.surface(shapes)]
+        grip = choose_grip(hand, math.atan2(along[1], along[0]), tips, lambda k, points, s=solids: s[k].inside(points))
+        before = path[-1] if path else (shapes[0], _AWAY, grip, -1)
         if not path:
-            path += [(poses[0], None, None, -1)] * _EMPTY + [before]
-        path += _transit(before, (poses[0], tips[0], grip, -1))
-        path += [(pose, tip, grip, number) for pose, tip in zip(poses, tips, strict=True)]
-    pose, _, grip, _ = path[-1]
-    path += _transit(path[-1], (pose, _AWAY, grip, -1)) + [(pose, _AWAY, grip, -1)] + [(pose, None, None, -1)] * _EMPTY
+            path += [(shapes[0], None, None, -1)] * _EMPTY + [before]
+        path += _transit(before, (shapes[0], tips[0], grip, -1))
+        path += [(shape, tip, grip, number) for shape, tip in zip(shapes, tips, strict=True)]
+    shape, _, grip, _ = path[-1]
+    leaves = (shape, _AWAY, grip, -1)
+    path += [*_transit(path[-1], leaves), leaves, *[(shape, None, None, -1)] * _EMPTY]
     return [Moment(k / FRAME_RATE, *entry) for k, entry in enumerate(path)]
 
 
 def _transit(before: tuple, after: tuple) -> list[tuple]:
     """Frames strictly between two moments: up, over, down, about `_TRAVEL` metres a frame, slower at both ends."""
-    pose, start, from_grip, _ = before
+    shape, start, from_grip, _ = before
     _, end, to_grip, _ = after
     height = max(TIP_HEIGHT + _LIFT, start[2], end[2])
     corners = np.array([start, [*start[:2], height], [*end[:2], height], end])
@@ -124,11 +118,13 @@ def _transit(before: tuple, after: tuple) -> list[tuple]:
         tip = np.array([np.interp(share * reach[-1], reach, corners[:, axis]) for axis in range(3)])
         heading = (1 - share) * from_grip.heading + share * to_grip.heading
         grip = Grip(heading, (1 - share) * from_grip.steep + share * to_grip.steep)
-        entries.append((pose, tip, grip, -1))
+        entries.append((shape, tip, grip, -1))
     return entries
 
 
-def record(env, seed: int, strokes: int, cameras: list[Camera], hand: Hand) -> Iterator[Frame]:
+def record(
+    env: Environment, seed: int, strokes: int, cameras: list[Camera], hand: Hand, modes: tuple[str, ...] = ()
+) -> Iterator[Frame]:
     """Render random strokes made by a hand, frame by frame, with sensor noise; everything follows from `seed`.
 
     Source: paper, section "Tracking and Data Collection" (RGB-D images of a person's hand at 5 Hz).
@@ -136,7 +132,7 @@ def record(env, seed: int, strokes: int, cameras: list[Camera], hand: Hand) -> I
     renderer = Renderer(cameras)
     skin = hand_colors(hand)
     offsets = np.random.default_rng([seed, 1]).uniform(0, 0.004, len(cameras))
-    for number, moment in enumerate(plan_moments(env, seed, strokes, hand)):
+    for number, moment in enumerate(plan_moments(env, seed, strokes, hand, modes)):
         rng = np.random.default_rng([seed, 2, number])
         parts, landmarks = _parts(env, moment, hand, skin)
         views = renderer.render(parts)
@@ -148,16 +144,15 @@ def record(env, seed: int, strokes: int, cameras: list[Camera], hand: Hand) -> I
                 noise.sensed_depth(view.depth, view.slope, camera.K[0, 0], camera.depth_scale, rng)
                 for view, camera in zip(views, cameras, strict=True)
             ],
-            label == BLOCK,
+            label == OBJECT,
             label == HAND,
             landmarks,
             moment.time + offsets + rng.uniform(0, 0.001, len(cameras)),
         )
 
 
-def _parts(env, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part], np.ndarray]:
-    vertices, triangles = env.mesh()
-    parts = [Part(place(vertices, moment.pose), triangles, BLOCK, np.array([_BLOCK_COLOR]))]
+def _parts(env: Environment, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part], np.ndarray]:
+    parts = [Part(env.surface(moment.shape), env.triangles, OBJECT, np.array([_BLOCK_COLOR]))]
     if moment.tip is None or moment.grip is None:
         return parts, np.full((21, 3), np.nan)
     arm = arm_at(hand, moment.grip, moment.tip)
@@ -165,9 +160,3 @@ def _parts(env, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part
     forearm, faces, colors = arm.forearm
     parts.append(Part(forearm, faces, HAND, colors, smooth=True))
     return parts, arm.landmarks
-
-
-def _to_body(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = points[:, 0] - pose[0], points[:, 1] - pose[1]
-    return np.column_stack([cos * x + sin * y, -sin * x + cos * y, points[:, 2]])

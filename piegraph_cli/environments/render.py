@@ -7,7 +7,7 @@ import numpy as np
 from piegraph_cli.environments import import_extra
 from piegraph_cli.recording.camera import Camera
 
-FLOOR, TABLE, BLOCK, HAND = 0, 1, 2, 3
+FLOOR, TABLE, OBJECT, HAND = 0, 1, 2, 3
 _LAMPS = ((np.array([0.9, 0.55, 1.5]), 0.62), (np.array([-0.8, -0.1, 1.7]), 0.40))
 _LAMP_RADIUS = 0.05
 _AMBIENT = 0.36
@@ -54,11 +54,25 @@ class View:
     """[H, W] cosine between the viewing ray and the surface normal."""
 
 
+class Solid:
+    """A closed surface, vertices [V, 3] (m) and triangles [T, 3] facing outwards, that knows what lies inside it."""
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray):
+        self._scene, self._mesh = _scene([(vertices, triangles)])
+        a, b, c = (vertices[triangles[:, k], :2] for k in range(3))
+        self._faces_up = (b - a)[:, 0] * (c - a)[:, 1] > (b - a)[:, 1] * (c - a)[:, 0]
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """Which points [P, 3] (m) lie inside, bool [P]: those from where the way up first leaves the surface."""
+        up = np.tile(np.array([0, 0, 1], np.float32), (len(points), 1))
+        hit = _cast(self._scene, points.astype(np.float32), up)
+        return (hit["geomID"] >= 0) & self._faces_up[hit["primID"]]
+
+
 class Renderer:
     """Casts the rays of fixed cameras into changing scenes; the table and the floor are always there."""
 
     def __init__(self, cameras: list[Camera]):
-        import_extra("embreex")
         self.cameras = cameras
         self._rays = [_pixel_rays(camera, (0.0, 0.0)) for camera in cameras]
         self._quad_rays = [np.stack([_pixel_rays(camera, offset) for offset in _QUAD]) for camera in cameras]
@@ -66,12 +80,8 @@ class Renderer:
 
     def render(self, parts: list[Part]) -> list[View]:
         """One view per camera of the table with `parts` on it."""
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         surfaces = [*_room(), *parts]
-        scene = EmbreeScene()
-        meshes = [TriangleMesh(scene, s.vertices.astype(np.float32), s.triangles.astype(np.int32)) for s in surfaces]
+        scene, meshes = _scene([(s.vertices, s.triangles) for s in surfaces])
         views = [self._view(scene, surfaces, k) for k in range(len(self.cameras))]
         del meshes
         return views
@@ -145,6 +155,13 @@ def _interpolate(values: np.ndarray, surface: Part, hit: dict, here: np.ndarray)
     u, v = hit["u"][here], hit["v"][here]
     weights = np.stack([1 - u - v, u, v], 1)
     return np.einsum("pk,pkc->pc", weights, values.astype(np.float32)[corners])
+
+
+def _scene(surfaces: list[tuple[np.ndarray, np.ndarray]]) -> tuple:
+    """Embree's scene of (vertices [V, 3], triangles [T, 3]), and its meshes, which must live as long as the scene."""
+    mesh = import_extra("embreex.mesh_construction").TriangleMesh
+    scene = import_extra("embreex.rtcore_scene").EmbreeScene()
+    return scene, [mesh(scene, v.astype(np.float32), t.astype(np.int32)) for v, t in surfaces]
 
 
 def _cast(scene, origin: np.ndarray, rays: np.ndarray) -> dict[str, np.ndarray]:

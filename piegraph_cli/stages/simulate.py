@@ -81,9 +81,8 @@ def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bo
     shutil.rmtree(partial, ignore_errors=True)
     cameras, times, truth = camera_rig(), [], []
     environment = make_environment(params.environment, params.particles, params)
-    for number, frame in enumerate(
-        record(environment, sequence_seed(params, index), params.strokes, cameras, load_hand())
-    ):
+    seed = sequence_seed(params, index)
+    for number, frame in enumerate(record(environment, seed, params.strokes, cameras, load_hand(), params.modes)):
         for camera, color, depth in zip(cameras, frame.color, frame.depth, strict=True):
             write_frame(partial, camera, number, color, depth, JPEG_QUALITY)
         times.append(frame.stamps)
@@ -107,20 +106,16 @@ def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bo
 
 
 def truth_arrays(environment: Any, frames: list) -> dict[str, np.ndarray]:
-    """The truth artifact of rendered frames: poses, particles, surface mesh, masks, hand."""
-    from piegraph_cli.environments.shapes import place
-
-    vertices, triangles = environment.mesh()
+    """The truth artifact of rendered frames: particles, surface mesh, masks, hand."""
     moments = [frame.moment for frame in frames]
-    poses = np.array([m.pose for m in moments])
+    shapes = np.array([m.shape for m in moments])
     tips = [np.full(3, np.nan) if m.tip is None else m.tip for m in moments]
     objects, objects_offsets = encode_masks([mask for frame in frames for mask in frame.object_mask])
     hands, hands_offsets = encode_masks([mask for frame in frames for mask in frame.hand_mask])
     return {
-        "particles": environment.particles(poses),
-        "vertices": np.stack([place(vertices, pose) for pose in poses]),
-        "triangles": triangles,
-        "pose": poses,
+        "particles": environment.particles(shapes),
+        "vertices": environment.surface(shapes),
+        "triangles": environment.triangles,
         "object_mask": objects,
         "object_mask_offsets": objects_offsets,
         "hand_mask": hands,

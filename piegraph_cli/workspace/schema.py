@@ -16,7 +16,7 @@ class Field:
     """NaN marks what was not observed; otherwise every value must be finite."""
 
 
-FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "se2": 3, "start_end": 2}
+FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
 """Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
 
 TEXT = "S128"
@@ -84,6 +84,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     "model": {
         "weights/*": Field("*", "1", "float32"),
         "particles": Field("", "1", "int64"),
+        "modes": Field("mode", "0 push, 1 pick", "uint8"),
         "step": Field("record", "1", "int64"),
         "train_loss": Field("record", "dm^2", "float64"),
         "validation_loss": Field("record", "dm^2", "float64", nan=True),
@@ -120,7 +121,6 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     },
     "truth": {
         "particles": Field("frame,material_point,xyz", "m", "float32"),
-        "pose": Field("frame,se2", "m, m, rad", "float64", nan=True),
         "object_mask": Field("object_mask_byte", "encoded image", "uint8"),
         "object_mask_offsets": Field("image_edge", "byte", "int64"),
         "hand_mask": Field("hand_mask_byte", "encoded image", "uint8"),

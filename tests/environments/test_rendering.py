@@ -19,7 +19,7 @@ from piegraph_cli.environments import hand as hands
 from piegraph_cli.environments import noise
 from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, held
 from piegraph_cli.environments.recording import plan_moments, record
-from piegraph_cli.environments.render import BLOCK, HAND, TABLE, Part, Renderer, wood_texture
+from piegraph_cli.environments.render import HAND, OBJECT, TABLE, Part, Renderer, wood_texture
 from piegraph_cli.environments.rig import camera_rig
 from piegraph_cli.environments.shapes import place
 from piegraph_cli.errors import DataError, MissingError
@@ -74,8 +74,8 @@ def env():
 
 
 def block_part(env, pose):
-    vertices, triangles = env.mesh()
-    return Part(place(vertices, np.array(pose)), triangles, BLOCK, np.array([[0.1, 0.1, 0.5]]))
+    vertices, triangles = env.block.mesh()
+    return Part(place(vertices, np.array(pose)), triangles, OBJECT, np.array([[0.1, 0.1, 0.5]]))
 
 
 def test_cameras_look_at_the_table_from_four_sides():
@@ -97,7 +97,7 @@ def test_masked_depth_lies_on_the_block(env):
     part = block_part(env, pose)
     cameras = camera_rig(160, 120)
     for camera, view in zip(cameras, Renderer(cameras).render([part]), strict=True):
-        row, column = np.nonzero(view.label == BLOCK)
+        row, column = np.nonzero(view.label == OBJECT)
         assert len(row) > 100
         points = camera.unproject(np.column_stack([column, row]), view.depth[row, column])
         assert distance_to_surface(env, pose, points).max() < 1e-3
@@ -109,9 +109,9 @@ def test_a_block_darkens_the_table_beside_it_only(env):
     cameras = camera_rig(160, 120)[:1]
     renderer = Renderer(cameras)
     block = block_part(env, [0, 0, 0])
-    raised = Part(block.vertices + np.array([0, 0, 0.1]), block.triangles, BLOCK, block.colors)
+    raised = Part(block.vertices + np.array([0, 0, 0.1]), block.triangles, OBJECT, block.colors)
     empty, full = renderer.render([])[0], renderer.render([raised])[0]
-    beside = cv2.dilate((full.label == BLOCK).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    beside = cv2.dilate((full.label == OBJECT).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     table = (empty.label == TABLE) & ~beside
     darker = (empty.color - full.color).mean(-1) > 0.02
     assert 20 < (darker & table).sum() < 0.2 * table.sum()
@@ -232,7 +232,7 @@ def test_a_recording_begins_and_ends_without_the_hand(env, hand):
     assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() < 0.2
     between = [m for before, m in pairwise(moments) if m.stroke < 0 <= before.stroke]
     assert len(between) == 2
-    poses = np.array([m.pose for m in moments])
+    poses = np.array([m.shape for m in moments])
     moving = np.linalg.norm(np.diff(poses, axis=0), axis=1) > 0
     assert all(moments[k].stroke >= 0 and moments[k + 1].stroke >= 0 for k in np.flatnonzero(moving))
 

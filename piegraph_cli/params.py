@@ -4,7 +4,7 @@ Nothing heavy is imported here, so that `piegraph --help` answers at once. The c
 """
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -36,6 +36,9 @@ EnvironmentName = Literal[
     "tblock", "rope-stiff", "rope-bendy", "tshirt", "cloth", "toy", "daxbench-rope", "daxbench-tshirt"
 ]
 Mode = Literal["push", "pick"]
+PUSH, PICK = 0, 1
+MODE_NAMES = get_args(Mode)
+"""Names of the modes of a stroke, by number."""
 Pose2 = Annotated[tuple[float, float, float], BeforeValidator(_split)]
 Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_split), AfterValidator(_check_box)]
 Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_split), Field(min_length=1)]
@@ -250,6 +253,7 @@ class GuidanceParams(Params):
     integral_limit: float = Field(0.1, ge=0, description="longest summed error of a particle [m x iterations]")
     derivative: float = Field(0.0, ge=0, description="derivative gain")
     friction: float = Field(0.0, ge=0, description="Coulomb coefficient of the table")
+    tension_only: bool = Field(False, description="springs pull but never push, as in cloth")
     iterations: int = Field(200, ge=1, description="most iterations of the springs")
     tolerance: float = Field(1e-5, ge=0, description="springs are at rest below this motion per iteration [m]")
 

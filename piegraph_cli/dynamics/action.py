@@ -10,15 +10,23 @@ MIN_STROKE = 1e-3
 FEATURES = 5
 """Node features of `canonical_action`."""
 
+PICK_FEATURES = 5
+"""Node features of `pick_features`."""
 
-def make_strokes(start, end, mode) -> torch.Tensor:
-    """Strokes [B, 5] (start x, y, end x, y in m, mode 0 push or 1 pick) from start [B, 2], end [B, 2] and mode [B]."""
+
+def make_strokes(start, end, mode, held=None) -> torch.Tensor:
+    """Strokes [B, 7]: start x, y, end x, y in m, mode (0 push, 1 pick), whether a pick holds the object at start and end.
+
+    From start [B, 2], end [B, 2], mode [B] and held [B, 2]; without it strokes are whole: grasped after their start,
+    let go before their end.
+    """
     start, end, mode = (torch.as_tensor(part) for part in (start, end, mode))
-    return torch.cat([start, end, mode[..., None].to(start.dtype)], -1)
+    held = torch.zeros_like(start) if held is None else torch.as_tensor(held).to(start)
+    return torch.cat([start, end, mode[..., None].to(start), held], -1)
 
 
 def check_strokes(strokes: torch.Tensor) -> None:
-    """Refuse strokes [B, 5] that are not finite or too short to have a heading. Raises `DataError` naming the first."""
+    """Refuse strokes [B, 7] that are not finite or too short to have a heading. Raises `DataError` naming the first."""
     lengths = (strokes[:, 2:4] - strokes[:, :2]).norm(dim=-1)
     bad = ~torch.isfinite(strokes).all(-1) | (lengths < MIN_STROKE)
     if bad.any():
@@ -38,7 +46,7 @@ def stroke_rotation(strokes: torch.Tensor) -> torch.Tensor:
 
 
 def canonical_action(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
-    """Node features [B, N, 5] of positions [B, N, 3] (m) under strokes [B, 5].
+    """Node features [B, N, 5] of positions [B, N, 3] (m) under strokes [B, 7].
 
     The particle relative to the stroke's end in the stroke's frame (2, m), its height (m), the stroke's length (m), the mode.
     Unchanged when scene and stroke are turned about z or moved in the plane together; not under reflection, since an
@@ -50,3 +58,27 @@ def canonical_action(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Te
     length = (strokes[:, 2:4] - strokes[:, :2]).norm(dim=-1)
     shared = torch.stack([length, strokes[:, 4]], -1)[:, None].expand(-1, positions.shape[1], -1)
     return torch.cat([relative, positions[..., 2:], shared], -1)
+
+
+def grasped_particle(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+    """Index [B] of the particle of positions [B, N, 3] (m) that lies nearest to the strokes' starts in the plane."""
+    return (positions[..., :2] - strokes[:, None, :2]).norm(dim=-1).argmin(-1)
+
+
+def pick_features(
+    positions: torch.Tensor, strokes: torch.Tensor, rest: torch.Tensor, grasp: torch.Tensor
+) -> torch.Tensor:
+    """What a pick adds to the node features [B, N, 5] of positions [B, N, 3] (m) under strokes [B, 7]; zero for pushes.
+
+    Whether the object is held at the stroke's start and end; the particle's distance to the grasped one `grasp` [B] in
+    the rest state [B, N, 3] (m); how much further than that it is from the stroke's end, by which it must be dragged
+    if nothing stretches (m); its height above the grasped one (m). All are invariant in the plane.
+
+    Source: the paper gives pushes only; this is the project's.
+    """
+    row = torch.arange(len(positions), device=positions.device)
+    reach = (rest - rest[row, grasp][:, None]).norm(dim=-1)
+    slack = ((positions[..., :2] - strokes[:, None, 2:4]).norm(dim=-1) - reach).clamp_min(0)
+    above = positions[..., 2] - positions[row, grasp, 2][:, None]
+    held = strokes[:, None, 5:7].expand(-1, positions.shape[1], -1)
+    return torch.cat([held, torch.stack([reach, slack, above], -1)], -1) * strokes[:, 4, None, None]

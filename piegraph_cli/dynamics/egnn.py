@@ -1,9 +1,18 @@
 """The equivariant graph network: turned or moved scene and stroke in, equally turned or moved prediction out."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import nn
 
-from piegraph_cli.dynamics.action import FEATURES, canonical_action, stroke_rotation
+from piegraph_cli.dynamics.action import (
+    FEATURES,
+    PICK_FEATURES,
+    canonical_action,
+    grasped_particle,
+    pick_features,
+    stroke_rotation,
+)
 
 DECIMETRE = 10.0
 """Inside the network lengths are in decimetres, so that features are near one."""
@@ -15,6 +24,28 @@ def nearest_neighbors(positions: torch.Tensor, count: int) -> torch.Tensor:
     distances = torch.cdist(positions, positions)
     distances.diagonal(dim1=-2, dim2=-1).fill_(torch.inf)
     return distances.topk(count, largest=False, sorted=True).indices
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Objects as they were before the first stroke: their neighbours stay the graph's, so that folded layers do not join."""
+
+    positions: torch.Tensor
+    """[B, N, 3] metres; B may be 1 for one object in many scenes."""
+    neighbors: torch.Tensor
+    """[B, N, k]."""
+
+    @classmethod
+    def of(cls, positions: torch.Tensor, neighbors: int) -> "Rest":
+        """The rest of positions [B, N, 3] with its k nearest neighbours."""
+        return cls(positions, nearest_neighbors(positions, neighbors))
+
+    def expand(self, batch: int) -> "Rest":
+        """One object's rest for a batch of scenes."""
+        return Rest(self.positions.expand(batch, -1, -1), self.neighbors.expand(batch, -1, -1))
+
+    def __getitem__(self, index: torch.Tensor) -> "Rest":
+        return Rest(self.positions[index], self.neighbors[index])
 
 
 def gather_neighbors(values: torch.Tensor, neighbors: torch.Tensor) -> torch.Tensor:
@@ -67,10 +98,10 @@ class EGNN(nn.Module):
     Source: paper, III-B; the action-frame head is this project's.
     """
 
-    def __init__(self, neighbors: int, hidden: int, layers: int, action_head: bool):
+    def __init__(self, neighbors: int, hidden: int, layers: int, action_head: bool, picks: bool = False):
         super().__init__()
-        self.neighbors = neighbors
-        self.embed = nn.Linear(FEATURES, hidden)
+        self.neighbors, self.picks = neighbors, picks
+        self.embed = nn.Linear(FEATURES + PICK_FEATURES * picks, hidden)
         self.layers = nn.ModuleList(Layer(hidden) for _ in range(layers))
         self.lift = nn.Linear(hidden, 1)
         self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), nn.Linear(hidden, 2)) if action_head else None
@@ -80,13 +111,26 @@ class EGNN(nn.Module):
                     parameter.mul_(0.1 if name.endswith("weight") else 0.0)
 
     def forward(
-        self, positions: torch.Tensor, strokes: torch.Tensor, neighbors: torch.Tensor | None = None
+        self,
+        positions: torch.Tensor,
+        strokes: torch.Tensor,
+        rest: Rest | None = None,
+        grasp: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Positions [B, N, 3] (m) after strokes [B, 5]; `neighbors` [B, N, k] where the graph is known already."""
-        if neighbors is None:
-            neighbors = nearest_neighbors(positions, self.neighbors)
+        """Positions [B, N, 3] (m) after strokes [B, 7].
+
+        `rest` is the objects' (by default the positions themselves), `grasp` [B] the particle that a pick holds (by default
+        the nearest to the stroke's start).
+        """
+        rest = rest or Rest.of(positions, self.neighbors)
+        neighbors = rest.neighbors
         scale = torch.tensor([DECIMETRE] * 4 + [1.0], dtype=positions.dtype, device=positions.device)
-        h = self.embed(canonical_action(positions, strokes) * scale)
+        features = canonical_action(positions, strokes) * scale
+        if self.picks:
+            grasp = grasped_particle(positions, strokes) if grasp is None else grasp
+            more = pick_features(positions, strokes, rest.positions, grasp)
+            features = torch.cat([features, more[..., :2], more[..., 2:] * DECIMETRE], -1)
+        h = self.embed(features)
         x = start = (positions - positions.mean(1, keepdim=True)) * DECIMETRE
         rest2 = (x[:, :, None] - gather_neighbors(x, neighbors)).square().sum(-1, keepdim=True)
         for layer in self.layers:

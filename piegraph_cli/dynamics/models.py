@@ -1,4 +1,4 @@
-"""Models by name: each predicts particles after strokes, `predict(positions [B, N, 3], strokes [B, 5]) -> [B, N, 3]`."""
+"""Models by name: each predicts particles after strokes, `predict(positions [B, N, 3], strokes [B, 7]) -> [B, N, 3]`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 
 from piegraph_cli.dynamics.action import check_strokes
-from piegraph_cli.dynamics.egnn import EGNN, nearest_neighbors
+from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.params import PredictionParams
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.simulation import guide
@@ -53,13 +53,13 @@ def make_predict(name: str, network: EGNN | None, rest: torch.Tensor, params: Pr
     if not model.network:
         return lambda positions, strokes: positions
     assert network is not None
-    neighbors = nearest_neighbors(rest[None], network.neighbors)
+    known = Rest.of(rest[None], network.neighbors)
     correct = model.correction(rest, params) if model.correction else None
 
     @torch.no_grad()
     def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
         check_strokes(strokes)
-        setpoint = network(positions, strokes, neighbors.expand(len(positions), -1, -1))
+        setpoint = network(positions, strokes, known.expand(len(positions)))
         return correct(positions, setpoint) if correct else setpoint
 
     return predict

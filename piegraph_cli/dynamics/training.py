@@ -6,26 +6,49 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.egnn import EGNN, nearest_neighbors
+from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.losses import dynamics_loss
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import TrainParams
 
 
-def make_network(params: TrainParams) -> EGNN:
-    """A network with fresh weights, drawn from the seed."""
+def make_network(params: TrainParams, picks: bool) -> EGNN:
+    """A network with fresh weights, drawn from the seed; `picks` where the data has picks."""
     torch.manual_seed(params.seed)
-    return EGNN(params.neighbors, params.hidden, params.layers, params.action_head)
+    return EGNN(params.neighbors, params.hidden, params.layers, params.action_head, picks)
 
 
 class Pairs:
-    """Training pairs: start [P, N, 3] and end [P, N, 3] positions (m), strokes [P, 5], and the start's neighbours."""
+    """Training pairs: start and end positions [P, N, 3] (m), strokes [P, 7], whose object each is, and what picks hold."""
 
-    def __init__(self, start: np.ndarray, end: np.ndarray, strokes: np.ndarray, neighbors: int, device: str = "cpu"):
-        self.start, self.end, self.strokes = (
-            torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, strokes)
+    def __init__(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        strokes: np.ndarray,
+        rest: np.ndarray,
+        owner: np.ndarray,
+        grasp: np.ndarray,
+        neighbors: int,
+        device: str = "cpu",
+    ):
+        """`rest` [S, N, 3] (m) are the objects at rest, `owner` [P] the object of each pair, `grasp` [P] its grasped particle."""
+        self.start, self.end, self.strokes, at_rest = (
+            torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, strokes, rest)
         )
-        self.neighbors = torch.cat([nearest_neighbors(part, neighbors) for part in self.start.split(1024)])
+        self.rest = Rest.of(at_rest, neighbors)
+        self.owner, self.grasp = (torch.as_tensor(np.asarray(a, np.int64), device=device) for a in (owner, grasp))
+
+    @property
+    def picks(self) -> bool:
+        """Whether any stroke is a pick."""
+        return bool(self.strokes[:, 4].any())
+
+    def loss(self, network: EGNN, chosen: torch.Tensor, shape_weight: float) -> torch.Tensor:
+        """`dynamics_loss` (dm^2) of the network on the chosen pairs."""
+        rest = self.rest[self.owner[chosen]]
+        predicted = network(self.start[chosen], self.strokes[chosen], rest, self.grasp[chosen])
+        return dynamics_loss(predicted, self.end[chosen], rest.neighbors, shape_weight)
 
     def __len__(self) -> int:
         return len(self.start)
@@ -38,7 +61,7 @@ class Trainer:
         if len(pairs) == 0:
             raise DataError("no training pairs", hint="record longer strokes, or lower dataset.min_gap")
         self.pairs, self.validation, self.params = pairs, validation, params
-        self.network = make_network(params).to(device)
+        self.network = make_network(params, pairs.picks).to(device)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=params.learning_rate, weight_decay=params.weight_decay
         )
@@ -55,8 +78,7 @@ class Trainer:
         batch = torch.as_tensor(rng.integers(0, len(pairs), params.batch), device=pairs.start.device)
         for group in self.optimizer.param_groups:
             group["lr"] = params.learning_rate * 0.5 * (1 + math.cos(math.pi * self.done / params.steps))
-        predicted = self.network(pairs.start[batch], pairs.strokes[batch], pairs.neighbors[batch])
-        loss = dynamics_loss(predicted, pairs.end[batch], pairs.neighbors[batch], params.shape_weight)
+        loss = pairs.loss(self.network, batch, params.shape_weight)
         self.optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), params.clip)
@@ -75,12 +97,9 @@ class Trainer:
         """
         loss = math.nan
         if self.validation is not None and len(self.validation):
-            v = self.validation
-            losses = [
-                dynamics_loss(self.network(a, s, n), b, n, self.params.shape_weight).item() * len(a)
-                for a, b, s, n in zip(*(t.split(256) for t in (v.start, v.end, v.strokes, v.neighbors)), strict=True)
-            ]
-            loss = sum(losses) / len(v)
+            chunks = torch.arange(len(self.validation), device=self.validation.start.device).split(256)
+            losses = [self.validation.loss(self.network, c, self.params.shape_weight).item() * len(c) for c in chunks]
+            loss = sum(losses) / len(self.validation)
         if not loss >= self.best_loss:
             self.best_loss = loss if math.isfinite(loss) else math.inf
             self.best = {name: value.detach().clone() for name, value in self.network.state_dict().items()}

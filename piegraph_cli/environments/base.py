@@ -11,9 +11,8 @@ import gymnasium
 import numpy as np
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import MODE_NAMES, PICK, PUSH
 
-PUSH, PICK = 0, 1
-MODE_NAMES = ("push", "pick")
 FRAME_RATE = 5.0
 PUSHER_RADIUS = 0.01
 CLEARANCE = 0.008

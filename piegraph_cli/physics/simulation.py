@@ -79,13 +79,18 @@ class _Springs:
             self.sum = incidence.t().coalesce().to_sparse_csr()  # springs to particles
         self.rest_length = torch.as_tensor(graph.rest_length, dtype=dtype, device=device)[:, None]
 
-    def acceleration(self, positions: Tensor, stiffness: float | Tensor) -> Tensor:
-        """α (l − r)(x_j − x_i)/l summed over the springs of each particle: [N, 3, B], m per iteration squared."""
+    def acceleration(self, positions: Tensor, stiffness: float | Tensor, tension_only: bool = False) -> Tensor:
+        """α (l − r)(x_j − x_i)/l summed over the springs of each particle: [N, 3, B], m per iteration squared.
+
+        With `tension_only` a spring shorter than at rest has no force.
+        """
         particles, _, batch = positions.shape
         span = _product(self.difference, self.sum, positions.reshape(particles, 3 * batch)).view(-1, 3, batch)
         dx, dy, dz = span.unbind(1)
         inverse_length = (dx * dx + dy * dy + dz * dz).clamp_min(SHORTEST**2).rsqrt()
         strain = stiffness - stiffness * self.rest_length * inverse_length
+        if tension_only:
+            strain = strain.clamp_min(0)
         pull = (span * strain[:, None]).reshape(-1, 3 * batch)
         return -_product(self.sum, self.difference, pull).view(particles, 3, batch)
 
@@ -193,7 +198,7 @@ def _drive(
         if params.derivative > 0:
             control = control - derivative * velocity
         last = velocity
-        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness) + control)
+        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness, params.tension_only) + control)
         x, velocity = _move(x, velocity, params.friction)
         if iteration % CHECK_EVERY == 0 and max(_speed(last), _speed(velocity)) < params.tolerance:
             break  # two iterations, since an overshoot is slow for one where it turns

@@ -7,7 +7,7 @@ from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.egnn import EGNN
 from piegraph_cli.dynamics.training import Pairs, Trainer, make_network
 from piegraph_cli.errors import DataError, MissingError
-from piegraph_cli.params import TrainParams
+from piegraph_cli.params import PICK, TrainParams
 from piegraph_cli.stages.dataset import TRAIN, VALIDATION
 from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.execute import Context, Output
@@ -41,6 +41,7 @@ def run(inputs: dict[str, Artifact], params: TrainParams, context: Context) -> O
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
     arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
     arrays["particles"] = np.array(data["positions"].shape[1])
+    arrays["modes"] = np.unique(trainer.pairs.strokes[:, 4].cpu().numpy()).astype(np.uint8)
     quality = f"loss {train[-1]:.4f} dm^2 after {params.steps} steps on {len(trainer.pairs)} pairs"
     return Output(arrays, quality)
 
@@ -64,19 +65,22 @@ def choose_device(name: str) -> str:
 
 def read_pairs(data: Artifact, split: int, neighbors: int, device: str) -> Pairs:
     """The training pairs of one split."""
-    owner = data["stroke_sequence"][data["pair_stroke"]]
-    chosen = data["sequence_split"][owner] == split
+    chosen = data["sequence_split"][data["stroke_sequence"][data["pair_stroke"]]] == split
     first, last = data["pairs"][chosen].T
-    mode = data["stroke_mode"][data["pair_stroke"][chosen]]
-    hand = data["end_effector"]
-    strokes = make_strokes(hand[first], hand[last], mode).numpy()
-    return Pairs(data["positions"][first], data["positions"][last], strokes, neighbors, device)
+    stroke = data["pair_stroke"][chosen]
+    begin, finish = data["strokes"][stroke].T
+    hand, positions = data["end_effector"], data["positions"]
+    strokes = make_strokes(hand[first], hand[last], data["stroke_mode"][stroke], np.stack([first > begin, last < finish], 1))
+    apart = np.linalg.norm(positions[data["strokes"][:, 0], :, :2] - hand[data["strokes"][:, 0], None], axis=-1)
+    rest, owner = positions[data["sequence_start"]], data["stroke_sequence"][stroke]
+    grasp = apart.argmin(-1)[stroke]
+    return Pairs(positions[first], positions[last], strokes.numpy(), rest, owner, grasp, neighbors, device)
 
 
 def read_network(model: Artifact) -> EGNN:
     """The trained network of a model artifact. Raises `DataError` where the weights do not fit its settings."""
     fields = {name: model.params[name] for name in TrainParams.model_fields if name in model.params}
-    network = make_network(TrainParams(**fields))
+    network = make_network(TrainParams(**fields), PICK in model["modes"])
     weights = {
         n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")
     }

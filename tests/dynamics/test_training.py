@@ -21,7 +21,7 @@ def pairs(count: int = 40, seed: int = 0) -> Pairs:
     motion = np.stack([np.cos(angle), np.sin(angle)], 1) * length[:, None]
     end = start + np.pad(motion, ((0, 0), (0, 1)))[:, None]
     strokes = np.concatenate([begin, begin + motion, np.zeros((count, 1))], 1)
-    return Pairs(start, end, strokes, neighbors=PARAMS.neighbors)
+    return Pairs(start, end, strokes, start, np.arange(count), np.zeros(count), PARAMS.neighbors)
 
 
 def trained(steps: int, trainer: Trainer | None = None, params: TrainParams = PARAMS) -> Trainer:

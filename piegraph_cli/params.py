@@ -271,7 +271,7 @@ class EvaluateParams(PredictionParams):
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
 
 
-class PlanParams(PredictionParams):
+class PlanParams(PredictionParams, EnvironmentParams):
     """Settings of `plan`."""
 
     query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose")
@@ -282,18 +282,24 @@ class PlanParams(PredictionParams):
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
     model: ModelName = Field("piegraph", description="model that predicts, by name")
-    cost: Literal["auto", "distance", "chamfer"] = Field(
-        "auto", description="particle distance, chamfer distance, or the first where particles correspond"
+    cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
+        "auto",
+        description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
     )
+    modes: Modes = Field((), description="kinds of strokes: push, pick (default: what model and environment both know)")
+    planner: Literal["cem", "mppi"] = Field("cem", description="cross-entropy method, or path integrals")
     horizon: int = Field(1, ge=1, description="strokes planned ahead")
-    samples: int = Field(100, ge=4, description="candidates per CEM iteration")
-    cem_iterations: int = Field(5, ge=1, description="CEM iterations")
-    elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites")
+    samples: int = Field(100, ge=4, description="candidates per iteration")
+    cem_iterations: int = Field(5, ge=1, description="iterations of the planner")
+    elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites of CEM")
+    temperature: float = Field(0.005, gt=0, description="cost that MPPI finds much [m]")
+    noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")
     strokes: int = Field(13, ge=1, description="most strokes in one episode")
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
     episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
-    max_length: float = Field(0.14, gt=0, description="longest stroke [m]")
+    max_length: float = Field(0.14, gt=0, description="longest push [m]")
+    max_carry: float = Field(0.3, gt=0, description="furthest that a pick carries along x and along y [m]")
     pusher_radius: float = Field(0.01, gt=0, description="radius of the robot's pusher [m]")
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
+from scipy.optimize import linear_sum_assignment
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.physics.springs import farthest_point_sample
 
 Cost = Callable[[torch.Tensor], torch.Tensor]
 
@@ -12,13 +15,19 @@ Cost = Callable[[torch.Tensor], torch.Tensor]
 def make_cost(kind: str, goal: torch.Tensor, particles: int) -> Cost:
     """A function from positions [B, N, 3] (m) to their distance from the goal [G, 3] (m): [B].
 
-    `distance`: mean distance of corresponding particles (G = N); `chamfer`: mean of the two mean nearest-point distances.
+    `distance`: mean distance of corresponding particles (G = N); `chamfer`: mean of the two mean nearest-point distances;
+    `emd`: mean distance under the best one-to-one assignment (earth mover's distance), the goal thinned to N points.
     Source: paper, III-E and IV-A.
     """
     if len(goal) == 0 or not torch.isfinite(goal).all():
         raise DataError("the goal has no points, or points that are not finite", hint="give another --goal")
     if kind == "chamfer":
         return lambda positions: _chamfer(positions, goal)
+    if kind == "emd":
+        if len(goal) < particles:
+            raise DataError(f"the goal has {len(goal)} points, fewer than the {particles} particles", hint="--cost chamfer")
+        thinned = goal[torch.as_tensor(farthest_point_sample(goal.numpy(), particles))]
+        return lambda positions: _earth_mover(positions, thinned)
     if len(goal) != particles:
         raise DataError(
             f"the goal has {len(goal)} points, the object {particles} particles: they do not correspond",
@@ -30,3 +39,9 @@ def make_cost(kind: str, goal: torch.Tensor, particles: int) -> Cost:
 def _chamfer(positions: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
     distances = torch.cdist(positions, goal.expand(len(positions), -1, -1))
     return 0.5 * (distances.amin(1).mean(-1) + distances.amin(2).mean(-1))
+
+
+def _earth_mover(positions: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+    distances = torch.cdist(positions, goal.expand(len(positions), -1, -1)).numpy()
+    means = [matrix[linear_sum_assignment(matrix)].mean() for matrix in distances]
+    return torch.as_tensor(np.array(means, np.float32))

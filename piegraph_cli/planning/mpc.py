@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from piegraph_cli.planning.cem import Plan
 from piegraph_cli.planning.costs import Cost
+from piegraph_cli.planning.search import Plan
 
 Act = Callable[[torch.Tensor], tuple[np.ndarray, bool]]
 
@@ -26,11 +26,17 @@ class Step:
 
 
 def run_episode(
-    state: np.ndarray, make_plan: Callable[[torch.Tensor], Plan], act: Act, cost: Cost, *, strokes: int, success: float
+    state: np.ndarray,
+    make_plan: Callable[[torch.Tensor], Plan | None],
+    act: Act,
+    cost: Cost,
+    *,
+    strokes: int,
+    success: float,
 ) -> Iterator[Step]:
-    """Steps until the distance to the goal is below `success` (m) or `strokes` are spent; none if it is at the start.
+    """Steps until the distance to the goal is below `success` (m), `strokes` are spent or no stroke is feasible any more.
 
-    `make_plan(state [N, 3])` plans; `act(stroke [5])` carries a stroke out and returns the new state and whether it was
+    `make_plan(state [N, 3])` plans; `act(stroke [7])` carries a stroke out and returns the new state and whether it was
     blocked. Source: paper, III-E.
     """
     positions = torch.as_tensor(np.asarray(state, np.float32))
@@ -40,6 +46,8 @@ def run_episode(
         begin = time.monotonic()
         plan = make_plan(positions)
         seconds = time.monotonic() - begin
+        if plan is None:
+            return
         after, blocked = act(plan.strokes[0])
         before, positions = positions, torch.as_tensor(np.asarray(after, np.float32))
         yield Step(plan, before.numpy(), positions.numpy(), float(cost(positions[None])[0]), blocked, seconds)

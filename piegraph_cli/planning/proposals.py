@@ -1,9 +1,12 @@
-"""Strokes by contact: a heading, a lateral offset and a length become a push that starts just off the object."""
+"""Candidate strokes by contact: a few numbers become a push that starts just off the object, or a pick at a particle."""
 
 import math
 from dataclasses import dataclass
 
 import torch
+
+from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.params import PICK, PUSH
 
 CLEARANCE = 0.008
 """Metres between the pusher's start and its first contact."""
@@ -15,39 +18,107 @@ MARGIN = 0.002
 NEIGHBORS = 8
 """Particles joined to each one to fill the gaps between them."""
 
+SHORTEST = 1e-6
+"""Metres; below it a carry has no direction and gets that of x."""
+
+NUMBERS = 5
+"""Of a proposal: the mode, then of a push heading [rad], lateral offset as a share of the object's half width (-1 to 1),
+length [m] and nothing; of a pick two shares (-1 to 1) of the object's half extents in x and y, which the nearest particle
+is grasped to, and how far it is carried in x and y [m]."""
+
 
 @dataclass(frozen=True)
-class PushSpace:
-    """The proposals [B, 3]: heading [rad], lateral offset as a share of the object's half width (-1 to 1), length [m]."""
+class StrokeSpace:
+    """The proposals [B, 5], see `NUMBERS`, and the strokes they stand for."""
 
+    modes: tuple[int, ...]
+    """0 push, 1 pick."""
     edges: torch.Tensor
     """[E, 2] particles between which the object has no gap, see `solid_edges`."""
     min_length: float
+    """Of any stroke, metres."""
     max_length: float
+    """Of a push, metres."""
+    max_carry: float
+    """Of a pick along x and along y, metres."""
     pusher_radius: float
     workspace: tuple[float, ...]
     """xmin, xmax, ymin, ymax, ... [m]: a stroke's ends stay inside."""
 
-    def sample(self, shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
-        """Uniform proposals [*shape, 3]."""
-        unit = torch.rand(*shape, 3, generator=generator)
-        low = torch.tensor([-math.pi, -1.0, self.min_length])
-        high = torch.tensor([math.pi, 1.0, self.max_length])
-        return low + unit * (high - low)
+    def _bounds(self, mode: int) -> tuple[torch.Tensor, torch.Tensor]:
+        carry = self.max_carry
+        low, high = (
+            ([-math.pi, -1.0, self.min_length, 0.0], [math.pi, 1.0, self.max_length, 0.0])
+            if mode == PUSH
+            else ([-1.0, -1.0, -carry, -carry], [1.0, 1.0, carry, carry])
+        )
+        return torch.tensor(low), torch.tensor(high)
 
-    def clip(self, proposals: torch.Tensor) -> torch.Tensor:
-        """Proposals brought back into the space; headings wrap around."""
-        heading, offset, length = proposals.unbind(-1)
-        heading = torch.remainder(heading + math.pi, 2 * math.pi) - math.pi
-        return torch.stack([heading, offset.clamp(-1, 1), length.clamp(self.min_length, self.max_length)], -1)
+    def sample(self, shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
+        """Uniform proposals [*shape, 5], the modes equally often."""
+        unit = torch.rand(*shape, 4, generator=generator)
+        choice = torch.randint(len(self.modes), shape, generator=generator) if len(self.modes) > 1 else torch.zeros(shape)
+        mode = torch.tensor(self.modes)[choice.long()]
+        values = unit
+        for m in self.modes:
+            low, high = self._bounds(m)
+            values = torch.where((mode == m)[..., None], low + unit * (high - low), values)
+        return torch.cat([mode[..., None].to(values), values], -1)
+
+    def refit(
+        self, proposals: torch.Tensor, weights: torch.Tensor, noise: float | None, count: int, generator: torch.Generator
+    ) -> torch.Tensor:
+        """Draw [count, H, 5] around weighted proposals [B, H, 5], weights [B] summing to 1, for each step of the horizon.
+
+        The modes are drawn as often as their weight; the numbers from a Gaussian per mode, fitted to the weighted proposals,
+        headings around that of the heaviest. `noise` fixes the deviation as a share of the range; None fits it too.
+        """
+        drawn = [self._refit_step(step, weights, noise, count, generator) for step in proposals.unbind(1)]
+        return torch.stack(drawn, 1)
+
+    def _refit_step(
+        self, proposals: torch.Tensor, weights: torch.Tensor, noise: float | None, count: int, generator: torch.Generator
+    ) -> torch.Tensor:
+        shares = torch.stack([weights[proposals[:, 0] == m].sum() for m in self.modes])
+        choice = torch.multinomial(shares, count, replacement=True, generator=generator)
+        normal = torch.randn(count, 4, generator=generator)
+        drawn = torch.empty(count, NUMBERS)
+        for k, mode in enumerate(self.modes):
+            here, own = choice == k, proposals[:, 0] == mode
+            if not here.any():
+                continue
+            values, weight = proposals[own, 1:].clone(), weights[own, None] / shares[k]
+            if mode == PUSH:
+                leader = values[weight[:, 0].argmax(), 0]
+                values[:, 0] = leader + _wrap(values[:, 0] - leader)
+            low, high = self._bounds(mode)
+            mean = (weight * values).sum(0)
+            deviation = _deviation(values, weight, mean) if noise is None else noise * (high - low)
+            fresh = mean + deviation * normal[here]
+            if mode == PUSH:
+                fresh[:, 0] = _wrap(fresh[:, 0])
+            drawn[here, 0] = float(mode)
+            drawn[here, 1:] = torch.minimum(torch.maximum(fresh, low), high)
+        return drawn
 
     def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Strokes [B, 5] (m) on positions [B, N, 3] (m), and whether each is feasible [B].
+        """Strokes [B, 7] (m) on positions [B, N, 3] (m), and whether each is feasible [B].
 
-        First contact is that of the pusher's disc against the particles and the edges between them. Infeasible: the disc
-        passes by, or an end leaves the workspace.
+        Infeasible: a push that passes by, or an end outside the workspace.
         """
-        heading, share, length = proposals.unbind(-1)
+        mode = proposals[:, 0]
+        start, end, feasible = torch.zeros(len(mode), 2), torch.zeros(len(mode), 2), torch.zeros(len(mode), dtype=torch.bool)
+        for m, make in ((PUSH, self._pushes), (PICK, self._picks)):
+            here = mode == m
+            if here.any():
+                start[here], end[here], feasible[here] = make(positions[here], proposals[here, 1:])
+        return make_strokes(start, end, mode), feasible & self._inside(start) & self._inside(end)
+
+    def _pushes(
+        self, positions: torch.Tensor, numbers: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """First contact is that of the pusher's disc against the particles and the edges between them."""
+        heading, share, length = numbers[:, :3].unbind(-1)
         along = torch.stack([heading.cos(), heading.sin()], -1)
         across = torch.stack([-heading.sin(), heading.cos()], -1)
         planar = self._filled(positions[..., :2])
@@ -62,9 +133,20 @@ class PushSpace:
         hit = contact.isfinite()
         first = torch.where(hit, contact, 0.0) - CLEARANCE
         start = centre + along * first[:, None] + across * offset[:, None]
-        end = start + along * length[:, None]
-        strokes = torch.cat([start, end, torch.zeros_like(length)[:, None]], -1)
-        return strokes, hit & self._inside(start) & self._inside(end)
+        return start, start + along * length[:, None], hit
+
+    def _picks(
+        self, positions: torch.Tensor, numbers: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        planar = positions[..., :2]
+        middle, half = (planar.amax(1) + planar.amin(1)) / 2, (planar.amax(1) - planar.amin(1)) / 2
+        wanted = middle + numbers[:, :2] * half
+        nearest = (planar - wanted[:, None]).norm(dim=-1).argmin(1)
+        start = planar[torch.arange(len(planar)), nearest]
+        distance = numbers[:, 2:].norm(dim=-1, keepdim=True)
+        still = torch.where(distance < SHORTEST, torch.tensor([SHORTEST, 0.0]), torch.zeros(2))
+        carry = (numbers[:, 2:] + still) * (self.min_length / distance.clamp_min(SHORTEST)).clamp_min(1)
+        return start, start + carry, torch.ones_like(nearest, dtype=torch.bool)
 
     def _filled(self, planar: torch.Tensor) -> torch.Tensor:
         """Particles [B, N, 2] and points on the edges between them."""
@@ -75,6 +157,17 @@ class PushSpace:
         xmin, xmax, ymin, ymax = self.workspace[:4]
         x, y = points.unbind(-1)
         return (x >= xmin) & (x <= xmax) & (y >= ymin) & (y <= ymax)
+
+
+def _wrap(angle: torch.Tensor) -> torch.Tensor:
+    return torch.remainder(angle + torch.pi, 2 * torch.pi) - torch.pi
+
+
+def _deviation(values: torch.Tensor, weight: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
+    """Unbiased weighted standard deviation [4] of values [B, 4], at least 1e-4; 1e-4 for a single one."""
+    variance = (weight * (values - mean).square()).sum(0)
+    effective = 1 / weight.square().sum()
+    return (variance * effective / (effective - 1).clamp_min(1e-6) * (effective > 1.001)).sqrt() + 1e-4
 
 
 def solid_edges(positions: torch.Tensor) -> torch.Tensor:

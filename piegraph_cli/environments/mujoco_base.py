@@ -1,0 +1,228 @@
+"""What the environments simulated by MuJoCo share: the table, the pusher, strokes in time, states, divergence.
+
+An environment describes its object as one MuJoCo flex in MJCF, lying around the origin; its shape (`Motion.shapes`)
+is the flex's vertices, the nodes, [V, 3] in metres, world frame.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+
+from piegraph_cli.environments.base import FRAME_RATE, TIP_HEIGHT, Environment, Motion, check_state, stroke_frames
+from piegraph_cli.errors import DataError
+
+_PUSHER_HALF_LENGTH = 0.08
+"""Metres: through the table and above every object, so that nothing meets its round ends."""
+_PARKED = np.array([0.0, 0.0, 2.0])
+_SPREAD = 0.08
+_SETTLE_CHECK = 0.05
+"""Seconds between two looks at whether the object has come to rest."""
+
+
+def scene(
+    flexcomp: str,
+    friction: float,
+    *,
+    timestep: float = 0.005,
+    solver: str = "Newton",
+    iterations: int = 50,
+    more: str = "",
+) -> str:
+    """MJCF of an object on the table z = 0 beside the pusher.
+
+    `flexcomp` is the object's element, its points around the origin; `friction` the Coulomb coefficient of table and
+    pusher (MuJoCo takes the larger one of a pair: give the object the same); `more` follows the world body.
+    Friction cones are elliptic: with pyramids, where a stroke leaves a rope depends on its yaw by 4 mm.
+    """
+    axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+    slides = "".join(f'<joint name="pusher_{n}" type="slide" axis="{axis}"/>' for n, axis in axes.items())
+    motors = "".join(f'<position name="pusher_{n}" joint="pusher_{n}" kp="1e4" dampratio="1"/>' for n in axes)
+    return f"""<mujoco>
+  <option timestep="{timestep}" integrator="discrete" cone="elliptic" solver="{solver}" iterations="{iterations}">
+    <flag autoreset="disable"/>
+  </option>
+  <size memory="64M"/>
+  <worldbody>
+    <geom name="table" type="plane" size="0 0 1" friction="{friction}"/>
+    <body name="pusher" gravcomp="1">
+      {slides}
+      <geom name="pusher" type="capsule" size="{Environment.pusher_radius} {_PUSHER_HALF_LENGTH}" mass="0.5"
+        friction="{friction}"/>
+    </body>
+    {flexcomp}
+  </worldbody>
+  <actuator>{motors}</actuator>
+  <contact><exclude body1="world" body2="pusher"/></contact>
+  {more}
+</mujoco>"""
+
+
+class MujocoEnvironment(Environment):
+    """One deformable object on a table; the MJCF's one flex, whose nodes are its shape.
+
+    A subclass sets `weights` and `triangles` and says how the surface follows from the nodes; for picks it adds a
+    `_pick` made of `_advance`, `_follow` and `_settle`.
+    """
+
+    settle_speed = 0.005
+    """The object is at rest when no part of it is faster, m/s."""
+    settle_time = 2.0
+    """Longest that it is waited for, seconds."""
+    outline_radius: float
+    """Metres around each node that together cover the object as seen from above."""
+    weights: np.ndarray
+    """[N, V] of the nodes in each particle."""
+
+    def __init__(self, particles: int, mjcf: str):
+        super().__init__(particles)
+        self.model = mujoco.MjModel.from_xml_string(mjcf)
+        self.data = mujoco.MjData(self.model)
+        self._steps_per_frame = round(1 / (FRAME_RATE * self.model.opt.timestep))
+        model = self.model
+        # bodies with three slide joints along the world's axes: the nodes themselves, or the corners of a coarse grid
+        bodies = np.unique(model.flex_nodebodyid if model.flex_interp[0] else model.flex_vertbodyid)
+        joints = model.body_jntadr[bodies][:, None] + np.arange(3)
+        self._rest = model.body_pos[bodies]
+        self._qpos, self._qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        pusher = model.body_jntadr[model.body("pusher").id] + np.arange(3)
+        self._pusher_qpos, self._pusher_qvel = model.jnt_qposadr[pusher], model.jnt_dofadr[pusher]
+        self._pusher_ctrl = np.array([model.actuator(f"pusher_{axis}").id for axis in "xyz"])
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """[V, 3] the nodes now, metres, world frame."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_flex(self.model, self.data)
+        return self.data.flexvert_xpos.copy()
+
+    def particles(self, shapes: np.ndarray | None = None) -> np.ndarray:
+        """Particles of nodes [..., V, 3] (m; by default the current ones), float32 [..., N, 3] (m)."""
+        return (self.weights @ (self.nodes if shapes is None else shapes)).astype(np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
+        """Lay the object down near the origin at random, or at `options["pose"]` (x, y in m, yaw in rad).
+
+        Raises DataError when it does not come to rest sanely.
+        """
+        super().reset(seed=seed)
+        x, y = self.np_random.uniform(-_SPREAD, _SPREAD, 2)
+        pose = np.array([x, y, self.np_random.uniform(-math.pi, math.pi)])
+        pose = np.array((options or {}).get("pose", pose), np.float64)
+        mujoco.mj_resetData(self.model, self.data)
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        turned = self._rest @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + [pose[0], pose[1], 0]
+        self.data.qpos[self._qpos] = turned - self._rest
+        self._place_pusher(_PARKED)
+        with self._watch() as sane:
+            self._settle()
+        if not sane():
+            raise DataError("the object does not come to rest", type(self).__name__, "softer options")
+        return self.particles(), {"pose": pose}
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything MuJoCo integrates from, in its own order: `integration` [S]."""
+        state = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return {"integration": state}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Return to a state of `get_state`, bit for bit. Raises DataError for one that is not finite or not its own."""
+        check_state(state, ("integration",), type(self).__name__)
+        values = np.array(state["integration"], np.float64)
+        size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        if values.shape != (size,):
+            raise DataError(
+                f"a state of shape {values.shape}, but this environment's has {size} numbers",
+                type(self).__name__,
+                "use what get_state gave",
+            )
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, values, mujoco.mjtState.mjSTATE_INTEGRATION)
+
+    def _outline(self) -> tuple[np.ndarray, float]:
+        return self.nodes[:, :2], self.outline_radius
+
+    def _push(self, start: np.ndarray, end: np.ndarray) -> Motion:
+        frames = stroke_frames(float(np.linalg.norm(end - start)))
+        ends = np.array([[*start, TIP_HEIGHT], [*end, TIP_HEIGHT]])
+        path = smooth_path(ends[0], ends[1], frames * self._steps_per_frame)
+        shapes = [self.nodes]
+        with self._watch() as sane:
+            self._place_pusher(ends[0])
+            shapes += self._follow(path, self._steer_pusher)
+            self._place_pusher(_PARKED)
+            self._settle()
+        shapes[-1] = self.nodes
+        pusher = np.concatenate([ends[:1], path[self._steps_per_frame - 1 :: self._steps_per_frame]])
+        return Motion(self._checked(shapes, sane()), pusher)
+
+    def _place_pusher(self, position: np.ndarray) -> None:
+        """Put the pusher's middle at a position [3] (m), at rest."""
+        self.data.qpos[self._pusher_qpos] = position
+        self.data.qvel[self._pusher_qvel] = 0
+        self._steer_pusher(position)
+
+    def _steer_pusher(self, position: np.ndarray) -> None:
+        self.data.ctrl[self._pusher_ctrl] = position
+
+    def _follow(self, path: np.ndarray, steer: Callable[[np.ndarray], None]) -> list[np.ndarray]:
+        """Steer along a path [steps, 3], one point a time step, and return the nodes [V, 3] at 5 Hz, last one included.
+
+        The number of steps is a multiple of `_steps_per_frame`.
+        """
+        shapes = []
+        for count, point in enumerate(path, 1):
+            steer(point)
+            mujoco.mj_step(self.model, self.data)
+            if count % self._steps_per_frame == 0:
+                shapes.append(self.nodes)
+        return shapes
+
+    def _advance(self, seconds: float) -> None:
+        """Let time pass with everything steered where it is."""
+        for _ in range(round(seconds / self.model.opt.timestep)):
+            mujoco.mj_step(self.model, self.data)
+
+    def _settle(self) -> None:
+        """Wait until the object is at rest, at most `settle_time`, then take what speed is left."""
+        for _ in range(round(self.settle_time / _SETTLE_CHECK)):
+            self._advance(_SETTLE_CHECK)
+            # a NaN is no speed below the limit, and is found afterwards
+            if np.linalg.norm(self.data.qvel[self._qvel], axis=1).max() < self.settle_speed:
+                break
+        self.data.qvel[:] = 0
+
+    @contextmanager
+    def _watch(self) -> Iterator[Callable[[], bool]]:
+        """Silence MuJoCo's log, which it would write into the current folder; gives whether nothing went wrong."""
+        before = mujoco.get_mju_user_warning()
+        failed: list[bool] = []
+        mujoco.set_mju_user_warning(lambda message: None)
+        counts = self._warnings()
+        try:
+            yield lambda: not failed and self._warnings() == counts and bool(np.isfinite(self.data.qpos).all())
+        except mujoco.FatalError:
+            failed.append(True)
+        finally:
+            mujoco.set_mju_user_warning(before)
+
+    def _warnings(self) -> list[int]:
+        return [warning.number for warning in self.data.warning]
+
+    @staticmethod
+    def _checked(shapes: Iterable[np.ndarray], sane: bool) -> np.ndarray:
+        """Shapes [F, V, 3] that are not finite if something went wrong, which `step` then reports."""
+        stacked = np.stack(list(shapes))
+        if not sane:
+            stacked[-1] = np.nan
+        return stacked
+
+
+def smooth_path(start: np.ndarray, end: np.ndarray, steps: int) -> np.ndarray:
+    """Points [steps, 3] from just after start [3] to end [3] on a straight line, slow at both ends."""
+    share = np.arange(1, steps + 1)[:, None] / steps
+    return start + (end - start) * share**2 * (3 - 2 * share)

@@ -4,9 +4,11 @@ Results go to stdout, everything else to stderr. Nothing heavy is imported befor
 """
 
 import contextlib
+import inspect
 import json
 import logging
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from inspect import Parameter, Signature
@@ -162,13 +164,13 @@ def _options(params: type[Params]) -> list[Parameter]:
         kind: Any = field.annotation
         if type(None) in get_args(kind):
             kind = next(a for a in get_args(kind) if a is not type(None))
-        if get_origin(kind) is dict:
-            continue
+        if get_origin(kind) is dict and not field.metadata:
+            continue  # a table that only a recipe can give
         if kind not in (int, float, bool, Path) and get_origin(kind) is not Literal:
             kind = str
         default = field.default
         shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
-        text = f"{field.description} [default: {shown}]" if default is not None else field.description
+        text = field.description if default in (None, (), {}) else f"{field.description} [default: {shown}]"
         flag = f"--{name.replace('_', '-')}"
         option = typer.Option(f"{flag}/--no-{flag[2:]}" if kind is bool else flag, help=text, show_default=False)
         annotation = Annotated[kind | None, option] if get_origin(kind) is not Literal else Annotated[kind, option]
@@ -247,18 +249,17 @@ def status(run: RunFolder, as_json: AsJson = False) -> None:
     _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
 
 
-@app.command()
-def simulate(
-    environment: Annotated[str, typer.Argument(help="simulated environment, by name")],
-    out: Annotated[Path, typer.Option(help="run folder for true particles, or recording folder with --render")],
-    sequences: Annotated[int, typer.Option(min=1, help="sequences to simulate")] = 20,
-    strokes: Annotated[int, typer.Option(min=1, help="strokes per sequence")] = 4,
-    seed: Annotated[int, typer.Option(min=0, help="seed; sequence i depends on (seed, i) alone")] = 0,
-    particles: Annotated[int, typer.Option(min=4, help="particles per object")] = 50,
+def _simulate(
+    environment: Annotated[str, typer.Argument(help="simulated environment, by name (docs/environments.md)")],
+    out: Annotated[
+        Path | None, typer.Option(help="folder [default: runs/ENVIRONMENT, or recordings/ENVIRONMENT with --render]")
+    ] = None,
     render: Annotated[bool, typer.Option("--render", help="record it with four RGB-D cameras and a hand")] = False,
     force: Force = False,
     jobs: Jobs = 1,
+    backend: Backend = "local",
     as_json: AsJson = False,
+    **values: Any,
 ) -> None:
     """Simulate random strokes, or render recordings.
 
@@ -269,24 +270,38 @@ def simulate(
     from piegraph_cli.workspace.run import Run
 
     stage = STAGES["simulate"]
-    values = {
-        "environment": environment,
-        "sequences": sequences,
-        "strokes": strokes,
-        "seed": seed,
-        "particles": particles,
-    }
-    recipe = Run.open(out).recipe.with_values(stage, values, "piegraph simulate", Path.cwd())
+    folder = out or Path("recordings" if render else "runs") / environment
+    given = {name: value for name, value in values.items() if value is not None} | {"environment": environment}
+    recipe = Run.open(folder).recipe.with_values(stage, given, "piegraph simulate", Path.cwd())
     if render:
         settings = recipe.params(stage)
         assert isinstance(settings, SimulateParams)
-        made = record_sequences(out, settings, jobs=jobs, force=force)
-        _emit(_Report({"recording": str(out), "sequences": made}, [f"{out}: {len(made)} sequences"]), as_json)
+        made = record_sequences(folder, settings, jobs=jobs, force=force)
+        _emit(_Report({"recording": str(folder), "sequences": made}, [f"{folder}: {len(made)} sequences"]), as_json)
         return
-    with _logging_to(out):
-        Run(out, recipe).save_recipe()
-        outcomes = run_stage(out, stage, Options(force, jobs))
-    _emit(_summary(outcomes, out), as_json)
+    with _logging_to(folder):
+        Run(folder, recipe).save_recipe()
+        begin = time.monotonic()
+        outcomes = run_stage(folder, stage, Options(force, jobs, backend))
+        seconds = time.monotonic() - begin
+    report = _summary(outcomes, folder)
+    made = sum(o.state == "done" for o in outcomes)
+    if made:
+        rate = made * recipe.params(stage).strokes / seconds  # type: ignore[attr-defined]
+        report.value["strokes_per_second"] = rate
+        report.lines.append(f"{rate:.1f} strokes a second")
+    _emit(report, as_json)
+
+
+def _with_options(command: Callable[..., None], params: type[Params], named: str) -> Callable[..., None]:
+    """The command with an option per setting in place of its `**values`; the setting `named` is its argument."""
+    own = [p for p in inspect.signature(command).parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+    more = [option for option in _options(params) if option.name != named]
+    command.__signature__ = Signature(own + more)  # type: ignore[attr-defined]
+    return command
+
+
+app.command("simulate")(_with_options(_simulate, SimulateParams, "environment"))
 
 
 @app.command()

@@ -25,7 +25,9 @@ def make_cost(kind: str, goal: torch.Tensor, particles: int) -> Cost:
         return lambda positions: _chamfer(positions, goal)
     if kind == "emd":
         if len(goal) < particles:
-            raise DataError(f"the goal has {len(goal)} points, fewer than the {particles} particles", hint="--cost chamfer")
+            raise DataError(
+                f"the goal has {len(goal)} points, fewer than the {particles} particles", hint="--cost chamfer"
+            )
         thinned = goal[torch.as_tensor(farthest_point_sample(goal.numpy(), particles))]
         return lambda positions: _earth_mover(positions, thinned)
     if len(goal) != particles:

@@ -57,7 +57,9 @@ class StrokeSpace:
     def sample(self, shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
         """Uniform proposals [*shape, 5], the modes equally often."""
         unit = torch.rand(*shape, 4, generator=generator)
-        choice = torch.randint(len(self.modes), shape, generator=generator) if len(self.modes) > 1 else torch.zeros(shape)
+        choice = (
+            torch.randint(len(self.modes), shape, generator=generator) if len(self.modes) > 1 else torch.zeros(shape)
+        )
         mode = torch.tensor(self.modes)[choice.long()]
         values = unit
         for m in self.modes:
@@ -66,7 +68,12 @@ class StrokeSpace:
         return torch.cat([mode[..., None].to(values), values], -1)
 
     def refit(
-        self, proposals: torch.Tensor, weights: torch.Tensor, noise: float | None, count: int, generator: torch.Generator
+        self,
+        proposals: torch.Tensor,
+        weights: torch.Tensor,
+        noise: float | None,
+        count: int,
+        generator: torch.Generator,
     ) -> torch.Tensor:
         """Draw [count, H, 5] around weighted proposals [B, H, 5], weights [B] summing to 1, for each step of the horizon.
 
@@ -77,7 +84,12 @@ class StrokeSpace:
         return torch.stack(drawn, 1)
 
     def _refit_step(
-        self, proposals: torch.Tensor, weights: torch.Tensor, noise: float | None, count: int, generator: torch.Generator
+        self,
+        proposals: torch.Tensor,
+        weights: torch.Tensor,
+        noise: float | None,
+        count: int,
+        generator: torch.Generator,
     ) -> torch.Tensor:
         shares = torch.stack([weights[proposals[:, 0] == m].sum() for m in self.modes])
         choice = torch.multinomial(shares, count, replacement=True, generator=generator)
@@ -107,7 +119,11 @@ class StrokeSpace:
         Infeasible: a push that passes by, or an end outside the workspace.
         """
         mode = proposals[:, 0]
-        start, end, feasible = torch.zeros(len(mode), 2), torch.zeros(len(mode), 2), torch.zeros(len(mode), dtype=torch.bool)
+        start, end, feasible = (
+            torch.zeros(len(mode), 2),
+            torch.zeros(len(mode), 2),
+            torch.zeros(len(mode), dtype=torch.bool),
+        )
         for m, make in ((PUSH, self._pushes), (PICK, self._picks)):
             here = mode == m
             if here.any():
@@ -135,9 +151,7 @@ class StrokeSpace:
         start = centre + along * first[:, None] + across * offset[:, None]
         return start, start + along * length[:, None], hit
 
-    def _picks(
-        self, positions: torch.Tensor, numbers: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _picks(self, positions: torch.Tensor, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         planar = positions[..., :2]
         middle, half = (planar.amax(1) + planar.amin(1)) / 2, (planar.amax(1) - planar.amin(1)) / 2
         wanted = middle + numbers[:, :2] * half

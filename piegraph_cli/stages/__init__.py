@@ -71,7 +71,7 @@ _TABLE = (
         "measure predictions on held-out sequences",
         scores=("frames", "hands", "masks", "clouds", "tracks"),
     ),
-    Stage("plan", ("model",), "plan", "run", params.PlanParams, 1, "plan:run", "plan strokes to a goal"),
+    Stage("plan", ("model",), "plan", "run", params.PlanParams, 2, "plan:run", "plan strokes to a goal"),
 )
 
 STAGES: dict[str, Stage] = {stage.name: stage for stage in _TABLE}

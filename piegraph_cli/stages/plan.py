@@ -1,21 +1,18 @@
 """Stage `plan`: strokes towards a goal, closed loop in a simulated environment or for a cloud seen by a robot."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import make_predict
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import PlanParams
+from piegraph_cli.params import MODE_NAMES, PlanParams
 from piegraph_cli.physics.tracking import choose_particles
-from piegraph_cli.planning.cem import Plan, plan_strokes
-from piegraph_cli.planning.costs import Cost, make_cost
-from piegraph_cli.planning.mpc import Step, run_episode
-from piegraph_cli.planning.proposals import PushSpace, solid_edges
-from piegraph_cli.stages.train import read_network
+from piegraph_cli.planning.mpc import Step
+from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.execute import Context, Output
 
@@ -28,111 +25,61 @@ def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Ou
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
-    torch.set_num_threads(1)
-    network, particles = read_network(inputs["model"]), int(inputs["model"]["particles"])
+    model = inputs["model"]
     if params.state is not None:
-        episodes = [_plan_once(network, particles, params)]
+        episodes = [_plan_once(model, params)]
     else:
-        episodes = [_episode(network, particles, params, i) for i in context.progress(range(params.episodes), "plan")]
-    arrays = _arrays(episodes, params)
+
+        def wanted(state: np.ndarray, sample: Callable[[], np.ndarray]) -> Goal:
+            return _given_goal(params, state) or Goal(sample(), True)
+
+        numbers = context.progress(range(params.episodes), "plan")
+        episodes = [play(model, params, wanted, start=i, goal=i)[0] for i in numbers]
+    arrays = _arrays(episodes, int(model["particles"]), params)
     return Output(arrays, _quality(arrays, params))
 
 
-Episode = tuple[np.ndarray, float, float, list[Step]]
-"""Goal [G, 3], distance at the start and at the end (m), steps."""
-
-
-def _episode(network: Any, particles: int, params: PlanParams, index: int) -> Episode:
-    from piegraph_cli.environments import make
-
-    rng = np.random.default_rng([params.seed, index])
-    environment = make(str(params.env), particles=particles)
-    state, _ = environment.reset(seed=int(rng.integers(1 << 31)))
-    goal, corresponds = _goal(params, state, lambda: environment.goal(rng))
-    cost, make_plan = _planner(network, state, goal, corresponds, params, [params.seed, index])
-
-    def act(stroke: torch.Tensor) -> tuple[np.ndarray, bool]:
-        action = {
-            "start": stroke[:2].numpy().astype(float),
-            "end": stroke[2:4].numpy().astype(float),
-            "mode": int(stroke[4]),
-        }
-        after, _, _, _, info = environment.step(action)
-        return after, info["blocked"]
-
-    steps = list(run_episode(state, make_plan, act, cost, strokes=params.strokes, success=params.success))
-    start = float(cost(torch.as_tensor(state)[None])[0])
-    return goal, start, steps[-1].distance if steps else start, steps
-
-
-def _plan_once(network: Any, particles: int, params: PlanParams) -> Episode:
+def _plan_once(model: Artifact, params: PlanParams) -> Episode:
+    torch.set_num_threads(1)
     assert params.state is not None
-    cloud = read_points(params.state, None)
+    cloud, particles = read_points(params.state, None), int(model["particles"])
     if len(cloud) < particles:
         raise DataError(
             f"{len(cloud)} points, the model needs {particles} or more", str(params.state), "give the whole cloud"
         )
     state = choose_particles(cloud, particles).astype(np.float32)
-    _check_inside(state, params, f"the object of {params.state}")
-    goal, corresponds = _goal(params, state, None)
-    cost, make_plan = _planner(network, state, goal, corresponds, params, [params.seed, 0])
+    check_inside(state, params, f"the object of {params.state}")
+    goal = _given_goal(params, state)
+    assert goal is not None
+    cost, make_plan = make_planner(model, state, goal, params, None, [params.seed, 2, 0, 0])
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
-        return goal, start, start, []
+        return Episode(goal.points, [], start, start)
     plan = make_plan(torch.as_tensor(state))
+    if plan is None:
+        raise DataError(
+            "no stroke touches the object inside the workspace", hint="widen plan.workspace or move the object"
+        )
     steps, before, unknown = [], state, np.full_like(state, np.nan)
     for k in range(len(plan.strokes)):
-        single = Plan(plan.strokes[k:], plan.predicted[k:], float(cost(plan.predicted[k][None])[0]))
-        steps.append(Step(single, before, unknown, float("nan"), False, 0.0))
+        later = replace(
+            plan,
+            strokes=plan.strokes[k:],
+            predicted=plan.predicted[k:],
+            cost=float(cost(plan.predicted[k][None])[0]),
+        )
+        steps.append(Step(later, before, unknown, float("nan"), False, 0.0))
         before = plan.predicted[k].numpy()
-    return goal, start, float("nan"), steps
+    return Episode(goal.points, steps, start, float("nan"))
 
 
-def _planner(
-    network: Any, state: np.ndarray, goal: np.ndarray, corresponds: bool, params: PlanParams, seed: list[int]
-) -> tuple[Cost, Callable[[torch.Tensor], Plan]]:
-    _check_inside(goal, params, "the goal")
-    kind = params.cost if params.cost != "auto" else "distance" if corresponds else "chamfer"
-    cost = make_cost(kind, torch.as_tensor(goal), len(state))
-    predict = make_predict(params.model, network, torch.as_tensor(state), params)
-    edges = solid_edges(torch.as_tensor(state))
-    space = PushSpace(edges, params.min_length, params.max_length, params.pusher_radius, params.workspace)
-    generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
-
-    def make_plan(positions: torch.Tensor) -> Plan:
-        return plan_strokes(
-            positions,
-            predict,
-            cost,
-            space,
-            horizon=params.horizon,
-            samples=params.samples,
-            iterations=params.cem_iterations,
-            elites=params.elites,
-            generator=generator,
-        )
-
-    return cost, make_plan
-
-
-def _check_inside(points: np.ndarray, params: PlanParams, what: str) -> None:
-    xmin, xmax, ymin, ymax = params.workspace[:4]
-    x, y = points[:, :2].mean(0)
-    if not (xmin <= x <= xmax and ymin <= y <= ymax):
-        raise DataError(
-            f"{what} lies around ({x:.2f}, {y:.2f}) m, outside plan.workspace",
-            hint="points are metres in the world frame; correct them, or widen --workspace",
-        )
-
-
-def _goal(params: PlanParams, state: np.ndarray, sample: Callable[[], np.ndarray] | None) -> tuple[np.ndarray, bool]:
-    """The goal [G, 3] (m), and whether its points correspond to the particles."""
+def _given_goal(params: PlanParams, state: np.ndarray) -> Goal | None:
+    """The goal that the settings name, for the object's particles now [N, 3] (m)."""
     if params.goal is not None:
-        return read_points(*params.goal_file()), False
+        return Goal(read_points(*params.goal_file()), False)
     if params.goal_pose is not None:
-        return move_in_plane(state, params.goal_pose), True
-    assert sample is not None
-    return sample().astype(np.float32), True
+        return Goal(move_in_plane(state, params.goal_pose), True)
+    return None
 
 
 def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:
@@ -193,30 +140,13 @@ def _read_frames(path: Path) -> list[np.ndarray]:
     return np.split(clouds["points"], clouds["offsets"][1:-1])
 
 
-def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray]:
-    steps = [(index, step) for index, (_, _, _, all_steps) in enumerate(episodes) for step in all_steps]
-    size = len(episodes[0][0])
-    particles = len(steps[0][1].before) if steps else 0
-    strokes = np.array([s.plan.strokes[0].numpy() for _, s in steps]).reshape(-1, 5)
-
-    def states(values: list[np.ndarray]) -> np.ndarray:
-        return np.array(values, np.float32).reshape(len(values), particles, 3)
-
-    return {
-        "goal": np.array([goal for goal, *_ in episodes]).reshape(-1, size, 3),
+def _arrays(episodes: list[Episode], particles: int, params: PlanParams) -> dict[str, np.ndarray]:
+    return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
+        "goal": np.array([episode.goal for episode in episodes]),
         "seed": np.full(len(episodes), params.seed),
-        "start_distance": np.array([start for _, start, _, _ in episodes]),
-        "end_distance": np.array([end for _, _, end, _ in episodes]),
-        "episode": np.array([index for index, _ in steps], np.int64),
-        "stroke": strokes[:, :4].reshape(-1, 2, 2),
-        "mode": strokes[:, 4],
-        "before": states([s.before for _, s in steps]),
-        "predicted": states([s.plan.predicted[0].numpy() for _, s in steps]),
-        "after": states([s.after for _, s in steps]),
-        "cost": np.array([s.plan.cost for _, s in steps], float),
-        "distance": np.array([s.distance for _, s in steps], float),
-        "blocked": np.array([s.blocked for _, s in steps], bool),
-        "seconds": np.array([s.seconds for _, s in steps], float),
+        "start_distance": np.array([episode.start_distance for episode in episodes]),
+        "end_distance": np.array([episode.end_distance for episode in episodes]),
+        "episode": np.repeat(np.arange(len(episodes)), [len(episode.steps) for episode in episodes]),
     }
 
 
@@ -237,7 +167,7 @@ def describe(plan: Artifact) -> tuple[dict[str, Any], list[str]]:
     rows, lines = [], [plan.quality]
     for k, (start, end) in enumerate(plan["stroke"].tolist()):
         episode = int(plan["episode"][k])
-        row = {"episode": episode, "mode": ("push", "pick")[int(plan["mode"][k])], "start": start, "end": end}
+        row = {"episode": episode, "mode": MODE_NAMES[int(plan["mode"][k])], "start": start, "end": end}
         row |= {"predicted_distance": float(plan["cost"][k])}
         if np.isfinite(plan["distance"][k]):
             row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}

@@ -28,6 +28,22 @@ _HAND_PATH = {
     "time": _TIME,
 }
 
+_STEPS = {
+    "stroke": Field("step,start_end,xy", "m", "float32"),
+    "mode": Field("step", "0 push, 1 pick", "uint8"),
+    "before": Field("step,particle,xyz", "m", "float32"),
+    "predicted": Field("step,particle,xyz", "m", "float32"),
+    "after": Field("step,particle,xyz", "m", "float32", nan=True),
+    "cost": Field("step", "m", "float64"),
+    "distance": Field("step", "m", "float64", nan=True),
+    "blocked": Field("step", "1", "bool"),
+    "seconds": Field("step", "s", "float64"),
+    "candidate_stroke": Field("step,iteration,candidate,horizon,start_end,xy", "m", "float32"),
+    "candidate_mode": Field("step,iteration,candidate,horizon", "0 push, 1 pick", "uint8"),
+    "candidate_cost": Field("step,iteration,candidate", "m", "float32"),
+    "candidate_weight": Field("step,iteration,candidate", "1", "float32"),
+}
+
 SCHEMAS: dict[str, dict[str, Field]] = {
     "frames": {
         "color": Field("color_byte", "encoded image", "uint8"),
@@ -106,15 +122,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     "plan": {
         "goal": Field("episode,goal_point,xyz", "m", "float32"),
         "episode": Field("step", "episode", "int64"),
-        "stroke": Field("step,start_end,xy", "m", "float32"),
-        "mode": Field("step", "0 push, 1 pick", "uint8"),
-        "before": Field("step,particle,xyz", "m", "float32"),
-        "predicted": Field("step,particle,xyz", "m", "float32"),
-        "after": Field("step,particle,xyz", "m", "float32", nan=True),
-        "cost": Field("step", "m", "float64"),
-        "distance": Field("step", "m", "float64", nan=True),
-        "blocked": Field("step", "1", "bool"),
-        "seconds": Field("step", "s", "float64"),
+        **_STEPS,
         "seed": Field("episode", "1", "int64"),
         "start_distance": Field("episode", "m", "float64"),
         "end_distance": Field("episode", "m", "float64", nan=True),

@@ -8,13 +8,17 @@ import pytest
 import torch
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.planning.cem import plan_strokes
+from piegraph_cli.params import PICK, PUSH, PlanParams
 from piegraph_cli.planning.costs import make_cost
+from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
-from piegraph_cli.planning.proposals import CLEARANCE, MARGIN, PushSpace, solid_edges
+from piegraph_cli.planning.proposals import CLEARANCE, MARGIN, StrokeSpace, solid_edges
+from piegraph_cli.planning.search import INFEASIBLE, plan_strokes
 
 SQUARE = torch.tensor([[x, y, 0.0] for x in np.linspace(-0.05, 0.05, 6) for y in np.linspace(-0.05, 0.05, 6)]).float()
-SPACE = PushSpace(solid_edges(SQUARE), 0.02, 0.14, 0.01, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
+SPACE = StrokeSpace((PUSH,), solid_edges(SQUARE), 0.02, 0.14, 0.3, 0.01, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
+PICKS = replace(SPACE, modes=(PICK,))
+BOTH = replace(SPACE, modes=(PUSH, PICK))
 
 
 def carried(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
@@ -24,7 +28,7 @@ def carried(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
 
 
 def test_a_push_starts_just_off_the_object_and_heads_where_it_says():
-    proposal = torch.tensor([[0.0, 0.0, 0.1], [math.pi / 2, 1.0, 0.05]])
+    proposal = torch.tensor([[PUSH, 0.0, 0.0, 0.1, 0.0], [PUSH, math.pi / 2, 1.0, 0.05, 0.0]])
     strokes, feasible = SPACE.strokes(SQUARE.expand(2, -1, -1), proposal)
     assert feasible.all()
     assert strokes[0, 0].item() == pytest.approx(-0.05 - SPACE.pusher_radius - MARGIN - CLEARANCE, abs=1e-3)
@@ -35,21 +39,23 @@ def test_a_push_starts_just_off_the_object_and_heads_where_it_says():
 
 
 def test_strokes_out_of_the_workspace_are_infeasible():
-    _, feasible = SPACE.strokes((SQUARE + torch.tensor([0.45, 0.0, 0.0]))[None], torch.tensor([[0.0, 0.0, 0.1]]))
+    _, feasible = SPACE.strokes(
+        (SQUARE + torch.tensor([0.45, 0.0, 0.0]))[None], torch.tensor([[PUSH, 0.0, 0.0, 0.1, 0.0]])
+    )
     assert not feasible.any()
 
 
 def test_a_gap_in_the_object_may_be_missed():
     apart = torch.cat([SQUARE + torch.tensor([0.0, s * 0.2, 0.0]) for s in (-1, 1)])
     space = replace(SPACE, edges=solid_edges(apart))
-    _, feasible = space.strokes(apart[None], torch.tensor([[0.0, 0.0, 0.1]]))
+    _, feasible = space.strokes(apart[None], torch.tensor([[PUSH, 0.0, 0.0, 0.1, 0.0]]))
     assert not feasible.any()
 
 
 def test_the_pusher_does_not_slip_between_sparse_particles():
     sparse = SQUARE * 3
     space = replace(SPACE, edges=solid_edges(sparse))
-    between = torch.tensor([[0.0, 0.1, 0.1], [0.0, 0.2, 0.1], [0.0, -0.3, 0.1]])
+    between = torch.tensor([[PUSH, 0.0, share, 0.1, 0.0] for share in (0.1, 0.2, -0.3)])
     strokes, feasible = space.strokes(sparse.expand(3, -1, -1), between)
     assert feasible.all()
     assert (strokes[:, 0] < -0.15).all()
@@ -67,55 +73,100 @@ def test_costs():
         make_cost("chamfer", goal[:0], 36)
 
 
+def test_the_earth_movers_distance_matches_particles_one_to_one():
+    goal = SQUARE + torch.tensor([0.03, 0.04, 0.0])
+    shuffled = goal[torch.randperm(36, generator=torch.Generator().manual_seed(0))]
+    assert make_cost("emd", shuffled, 36)(SQUARE[None]).item() <= 0.05 + 1e-6
+    assert make_cost("emd", SQUARE.flip(0), 36)(SQUARE[None]).item() == pytest.approx(0, abs=1e-4)
+    # all particles on one goal particle: near for the chamfer distance one way, far for an assignment
+    heap = SQUARE[:1].expand(36, -1)
+    assert make_cost("emd", SQUARE, 36)(heap[None]).item() > make_cost("chamfer", SQUARE, 36)(heap[None]).item()
+    with pytest.raises(DataError, match="fewer than"):
+        make_cost("emd", goal[:5], 36)
+
+
+def search(state, predict, cost, space, seed: int = 0, **settings):
+    return plan_strokes(state, predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))
+
+
 @pytest.mark.parametrize("horizon", [1, 2])
-def test_cem_finds_the_stroke_that_carries_the_object_to_its_goal(horizon):
+@pytest.mark.parametrize("planner", ["cem", "mppi"])
+@pytest.mark.parametrize("space", [SPACE, PICKS, BOTH])
+def test_a_search_finds_the_strokes_that_carry_the_object_to_its_goal(space, planner, horizon):
     motion = torch.tensor([0.06 * horizon, -0.07 * horizon, 0.0])
     cost = make_cost("distance", SQUARE + motion, 36)
-    plan = plan_strokes(
-        SQUARE,
-        carried,
-        cost,
-        SPACE,
-        horizon=horizon,
-        samples=200,
-        iterations=8,
-        elites=0.1,
-        generator=torch.Generator(),
+    plan = search(
+        SQUARE, carried, cost, space, planner=planner, horizon=horizon, samples=200, cem_iterations=10, noise=0.05
     )
-    assert plan.cost < 0.01
-    assert plan.strokes.shape == (horizon, 5)
+    assert plan.cost < 0.015
+    assert plan.strokes.shape == (horizon, 7)
     assert plan.predicted.shape == (horizon, 36, 3)
+    assert set(plan.candidates.strokes[..., 4].unique().tolist()) == set(map(float, space.modes))
+
+
+def test_the_mode_that_works_is_chosen():
+    def pushed_only(positions, strokes):
+        return torch.where((strokes[:, 4] == PUSH)[:, None, None], carried(positions, strokes), positions)
+
+    cost = make_cost("distance", SQUARE + torch.tensor([0.08, 0.0, 0.0]), 36)
+    plan = search(SQUARE, pushed_only, cost, BOTH, samples=60)
+    assert plan.strokes[0, 4] == PUSH
+    modes = plan.candidates.strokes[:, :, 0, 4]
+    assert (modes[0] == PICK).float().mean() > 0.3
+    assert (modes[-1] == PICK).float().mean() < 0.1
+
+
+def test_what_was_looked_at_is_kept():
+    cost = make_cost("distance", SQUARE + 0.05, 36)
+    plan = search(SQUARE, carried, cost, SPACE, samples=20, cem_iterations=3, elites=0.2, horizon=2)
+    seen = plan.candidates
+    assert seen.strokes.shape == (3, 20, 2, 7)
+    assert seen.costs.min().item() == pytest.approx(plan.cost)
+    assert ((seen.weights > 0).sum(1) == 4).all(), "a fifth of the candidates are elites"
+    torch.testing.assert_close(seen.weights.sum(1), torch.ones(3))
+    worst_elite = torch.where(seen.weights > 0, seen.costs, 0).amax(1)
+    assert (torch.where(seen.weights > 0, torch.inf, seen.costs).amin(1) >= worst_elite).all()
+
+
+def test_picks_start_at_a_particle_and_carry_far_enough():
+    generator = torch.Generator().manual_seed(0)
+    proposals = PICKS.sample((300,), generator)
+    proposals[0, 3:] = 0.0
+    strokes, _ = PICKS.strokes(SQUARE.expand(300, -1, -1), proposals)
+    apart = (strokes[:, None, :2] - SQUARE[None, :, :2]).norm(dim=-1).amin(1)
+    assert apart.max() < 1e-6
+    assert (strokes[:, 2:4] - strokes[:, :2]).norm(dim=-1).min() >= PICKS.min_length - 1e-6
+    assert (strokes[:, 4] == PICK).all()
+    grasped = (strokes[:, None, :2] - SQUARE[None, :, :2]).norm(dim=-1).argmin(1)
+    assert len(grasped.unique()) > 25, "all of the object can be grasped"
+
+
+def test_the_greedy_planner_carries_the_worst_particle_to_its_place():
+    goal = SQUARE.clone()
+    goal[7, :2] += torch.tensor([0.2, 0.1])
+    plan = put_worst_right(SQUARE, goal, make_cost("distance", goal, 36))
+    torch.testing.assert_close(plan.strokes[0, :4], torch.cat([SQUARE[7, :2], goal[7, :2]]))
+    assert plan.strokes[0, 4] == PICK
 
 
 def test_a_plan_follows_from_its_seed():
     cost = make_cost("distance", SQUARE + 0.05, 36)
-
-    def strokes(seed: int) -> torch.Tensor:
-        generator = torch.Generator().manual_seed(seed)
-        return plan_strokes(
-            SQUARE, carried, cost, SPACE, horizon=1, samples=20, iterations=2, elites=0.2, generator=generator
-        ).strokes
-
-    assert torch.equal(strokes(1), strokes(1))
-    assert not torch.equal(strokes(1), strokes(2))
+    first, again, other = (search(SQUARE, carried, cost, SPACE, seed, samples=20).strokes for seed in (1, 1, 2))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
 
 
-def test_no_feasible_stroke_is_an_error():
-    with pytest.raises(DataError, match="no stroke touches"):
-        plan_strokes(
-            SQUARE + 5.0,
-            carried,
-            make_cost("distance", SQUARE, 36),
-            SPACE,
-            horizon=1,
-            samples=20,
-            iterations=2,
-            elites=0.2,
-            generator=torch.Generator(),
-        )
+def test_a_stroke_that_cannot_be_carried_out_is_never_chosen():
+    assert search(SQUARE + 5.0, carried, make_cost("distance", SQUARE, 36), SPACE, samples=20) is None
+    # the goal is beyond the workspace: the best that stays inside is taken
+    goal = SQUARE + torch.tensor([0.5, 0.0, 0.0])
+    edge = SQUARE + torch.tensor([0.3, 0.0, 0.0])
+    plan = search(edge, carried, make_cost("distance", goal, 36), BOTH, samples=100)
+    assert plan.cost < INFEASIBLE
+    assert plan.strokes[0, :4].abs().max() <= 0.45
 
 
-def test_the_loop_stops_at_success_at_its_limit_and_before_the_first_stroke():
+def test_the_loop_stops_at_success_at_its_limit_before_the_first_stroke_and_without_a_plan():
     goal = SQUARE + torch.tensor([0.2, 0.0, 0.0])
     cost = make_cost("distance", goal, 36)
     world = SQUARE.clone()
@@ -126,9 +177,7 @@ def test_the_loop_stops_at_success_at_its_limit_and_before_the_first_stroke():
         return world.numpy(), False
 
     def make_plan(state: torch.Tensor):
-        return plan_strokes(
-            state, carried, cost, SPACE, horizon=1, samples=100, iterations=5, elites=0.1, generator=torch.Generator()
-        )
+        return search(state, carried, cost, SPACE)
 
     steps = list(run_episode(SQUARE.numpy(), make_plan, act, cost, strokes=10, success=0.02))
     assert 2 <= len(steps) <= 4
@@ -136,3 +185,4 @@ def test_the_loop_stops_at_success_at_its_limit_and_before_the_first_stroke():
     assert len(list(run_episode(world.numpy(), make_plan, act, cost, strokes=10, success=0.02))) == 0
     world = SQUARE.clone()
     assert len(list(run_episode(SQUARE.numpy(), make_plan, act, cost, strokes=1, success=0.02))) == 1
+    assert list(run_episode(SQUARE.numpy(), lambda _: None, act, cost, strokes=5, success=0.02)) == []

@@ -285,9 +285,9 @@ def _simulate(
         outcomes = run_stage(folder, stage, Options(force, jobs, backend))
         seconds = time.monotonic() - begin
     report = _summary(outcomes, folder)
-    made = sum(o.state == "done" for o in outcomes)
-    if made:
-        rate = made * recipe.params(stage).strokes / seconds  # type: ignore[attr-defined]
+    fresh = sum(o.state == "done" for o in outcomes)
+    if fresh:
+        rate = fresh * recipe.params(stage).strokes / seconds  # type: ignore[attr-defined]
         report.value["strokes_per_second"] = rate
         report.lines.append(f"{rate:.1f} strokes a second")
     _emit(report, as_json)

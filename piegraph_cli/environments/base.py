@@ -20,7 +20,7 @@ CLEARANCE = 0.008
 TIP_HEIGHT = 0.018
 """Height of the pusher's middle while it pushes, metres."""
 STROKE_LENGTHS = (0.03, 0.14)
-"""Of random pushes, metres."""
+"""Of random pushes where an environment names no others, metres."""
 PICK_LENGTHS = (0.05, 0.25)
 """Of random picks, metres."""
 REACH = 0.35
@@ -52,6 +52,8 @@ class Environment(gymnasium.Env):
     modes: tuple[int, ...] = (PUSH,)
     """What it can do, its main mode first."""
     pusher_radius = PUSHER_RADIUS
+    stroke_lengths = STROKE_LENGTHS
+    """Of random pushes, metres."""
     triangles: np.ndarray
     """[T, 3] of `surface`, facing outwards."""
 
@@ -131,7 +133,7 @@ class Environment(gymnasium.Env):
         """A random stroke that touches the object: an action for `step`, in the environment's main mode by default.
 
         Pushes: the heading is uniform, the lateral offset uniform over the object's silhouette along it, the length
-        uniform in 3-14 cm, and the start 8 mm before first contact. Picks: a random particle is carried 5-25 cm in
+        uniform in `stroke_lengths`, and the start 8 mm before first contact. Picks: a random particle is carried 5-25 cm in
         a random direction. Strokes that could carry the object out of reach are redrawn.
         """
         mode = self.modes[0] if mode is None else mode
@@ -143,7 +145,7 @@ class Environment(gymnasium.Env):
 
     def _random_push(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         points, radius = self._outline()
-        heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*STROKE_LENGTHS)
+        heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*self.stroke_lengths)
         along = np.array([math.cos(heading), math.sin(heading)])
         across = np.array([-along[1], along[0]])
         offset = rng.uniform(*_span(points @ across))

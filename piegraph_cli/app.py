@@ -36,8 +36,11 @@ FEW = 8
 
 RunFolder = Annotated[Path, typer.Option("--run", help="run folder")]
 Force = Annotated[bool, typer.Option("--force", help="make it again even if it is fresh")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="sequences worked on at a time")]
-Backend = Annotated[Literal["local", "ray"], typer.Option("--backend", help="this machine, or a Ray cluster")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="sequences or trials worked on at a time")]
+Backend = Annotated[
+    Literal["local", "ray"],
+    typer.Option("--backend", help="this machine, or a Ray cluster whose nodes share the run folder"),
+]
 Device = Annotated[Literal["auto", "cpu", "cuda"], typer.Option("--device", help="device of the network")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object")]
 
@@ -64,8 +67,9 @@ def _summary(outcomes: list, folder: Path) -> _Report:
         of_stage = [o for o in outcomes if o.stage == name and not o.error]
         if len(of_stage) > FEW:
             cached = sum(o.state == "cached" for o in of_stage)
+            units = "trials" if STAGES[name].per == "trial" else "sequences"
             lines.append(
-                f"{name:24s} {len(of_stage)} sequences, {cached} of them fresh already; last: {of_stage[-1].quality}"
+                f"{name:24s} {len(of_stage)} {units}, {cached} of them fresh already; last: {of_stage[-1].quality}"
             )
         else:
             lines += [f"{name} {o.sequence or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
@@ -141,7 +145,9 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
             if stage.name != "plan" and any(not o.error for o in outcomes):
                 opened.save_recipe()
             report = _summary(outcomes, run)
-        if stage.name in ("plan", "evaluate") and not report.exit_code:
+        if stage.name == "trials":
+            report = _with_trials(report, run)
+        elif stage.name in ("plan", "evaluate") and not report.exit_code:
             report = _described(stage, run)
         _emit(report, as_json)
 
@@ -193,6 +199,17 @@ def _described(stage: Stage, folder: Path) -> _Report:
     return _Report({"metrics": str(artifact.path), "rows": rows, "scores": scores}, table_lines(rows, scores))
 
 
+def _with_trials(report: _Report, folder: Path) -> _Report:
+    """What `trials` prints: the summary of all that are done, and which ones failed."""
+    from piegraph_cli.stages.trials import describe
+
+    value, lines = describe(folder)
+    failed = [{"trial": o["sequence"], "error": o["error"]} for o in report.value["outcomes"] if o["error"]]
+    if failed:
+        lines += ["", f"failed: {', '.join(f['trial'] for f in failed)}"]
+    return _Report(value | {"failed": failed}, lines, report.exit_code)
+
+
 for _stage in STAGES.values():
     if _stage.name != "simulate":
         app.command(_stage.name)(_stage_command(_stage))
@@ -242,10 +259,11 @@ def status(run: RunFolder, as_json: AsJson = False) -> None:
 
     _require_run(run)
     rows = rows_of(run)
-    lines = [f"{'stage':10s} {'sequence':16s} {'state':8s} quality"]
+    width = max(16, *(len(r["sequence"] or "") for r in rows))
+    lines = [f"{'stage':10s} {'sequence':{width}s} {'state':8s} quality"]
     for r in rows:
         why = (r["quality"] or r["failure"] or r["reason"]).replace("\n ", ";")
-        lines.append(f"{r['stage']:10s} {r['sequence'] or '-':16s} {r['state']:8s} {why}")
+        lines.append(f"{r['stage']:10s} {r['sequence'] or '-':{width}s} {r['state']:8s} {why}")
     _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
 
 

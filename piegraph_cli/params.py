@@ -45,7 +45,9 @@ Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_spl
 Lengths = Annotated[
     tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)
 ]
+Thresholds = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1)]
 Models = Annotated[tuple[ModelName, ...], BeforeValidator(_split), Field(min_length=1)]
+TrialModels = Annotated[tuple[ModelName | Literal["greedy"], ...], BeforeValidator(_split), Field(min_length=1)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(_split), Field(min_length=1)]
 Modes = Annotated[tuple[Mode, ...], BeforeValidator(_split)]
 EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(_settings)]
@@ -124,7 +126,9 @@ class DaXBenchOptions(Params):
 class EnvironmentParams(Params):
     """What a simulated environment needs beside its name."""
 
-    options: EnvironmentSettings = Field({}, description="options of the environment: NAME=VALUE,... (docs/environments.md)")
+    options: EnvironmentSettings = Field(
+        {}, description="options of the environment: NAME=VALUE,... (docs/environments.md)"
+    )
     daxbench_python: Path | None = Field(None, description="interpreter for daxbench-* (docs/daxbench.md)")
     daxbench_repo: Path | None = Field(None, description="DaXBench repository for daxbench-*")
 
@@ -139,7 +143,9 @@ class SimulateParams(EnvironmentParams):
     environment: EnvironmentName = Field("tblock", description="simulated environment, by name")
     sequences: int = Field(20, ge=1, description="sequences to simulate")
     strokes: int = Field(4, ge=1, description="strokes per sequence")
-    modes: Modes = Field((), description="kinds of strokes, at random: push, pick (default: the environment's main one)")
+    modes: Modes = Field(
+        (), description="kinds of strokes, at random: push, pick (default: the environment's main one)"
+    )
     particles: int = Field(50, ge=4, le=2000, description="particles per object")
     seed: int = Field(0, ge=0, description="seed; sequence i depends on (seed, i) alone")
 
@@ -321,3 +327,39 @@ class PlanParams(PredictionParams, EnvironmentParams):
     def files(self) -> dict[str, Path]:
         """As for all settings, and the goal's file."""
         return super().files() | ({"goal": self.goal_file()[0]} if self.goal else {})
+
+
+class TrialsParams(EnvironmentParams):
+    """Settings of `trials`: the grid environments x models x goals x seeds of the paper's planning experiment."""
+
+    envs: Environments = Field(
+        ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description="simulated environments, by name"
+    )
+    models: TrialModels = Field(
+        ("piegraph", "piegraph-ng", "static"), description="models to compare, by name; greedy: picks without a model"
+    )
+    goals: int = Field(10, ge=1, description="goals per environment")
+    seeds: int = Field(10, ge=1, description="starts per goal")
+    strokes: int = Field(30, ge=1, description="most strokes in one trial")
+    thresholds: Thresholds = Field(
+        (0.02, 0.03, 0.05, 0.1), description="distances that count as success; the smallest one ends a trial [m]"
+    )
+    trained: Path | None = Field(
+        None, description="folder with a trained run per environment, by its name (default: the one the run lies in)"
+    )
+    options: EnvironmentSettings = Field(
+        {}, description="options of the environments: ENV.NAME=VALUE,... (docs/environments.md)"
+    )
+
+
+class TrialParams(Params):
+    """Everything one trial depends on."""
+
+    goal: int = Field(ge=0, description="number of the goal")
+    seed: int = Field(ge=0, description="number of the start")
+    network: Path | None = Field(description="model.h5 of the trained run; None where the model has no network")
+    plan: PlanParams = Field(description="planning settings in force, with environment, model, strokes and success")
+
+    def files(self) -> dict[str, Path]:
+        """None: the network counts by the key of its artifact, and may be missing."""
+        return {}

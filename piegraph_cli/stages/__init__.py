@@ -16,11 +16,11 @@ class Stage:
     name: str
     reads: tuple[str, ...]
     writes: str
-    per: Literal["sequence", "run"]
+    per: Literal["sequence", "run", "trial"]
     params: type[Params]
     version: int
     run: str
-    """`module:function`, called as `function(inputs, params, context) -> Output`."""
+    """`module:function`, called as `function(inputs, params, context) -> Output`; of trials, with one trial's settings."""
     help: str
     scores: tuple[str, ...] = ()
     """Artifacts read as well where the run has them, to score them against a simulated recording's truth."""
@@ -72,6 +72,16 @@ _TABLE = (
         scores=("frames", "hands", "masks", "clouds", "tracks"),
     ),
     Stage("plan", ("model",), "plan", "run", params.PlanParams, 2, "plan:run", "plan strokes to a goal"),
+    Stage(
+        "trials",
+        (),
+        "trials",
+        "trial",
+        params.TrialsParams,
+        1,
+        "trials:run",
+        "plan in a grid of environments, models, goals and seeds",
+    ),
 )
 
 STAGES: dict[str, Stage] = {stage.name: stage for stage in _TABLE}

@@ -3,18 +3,19 @@
 import logging
 import time
 import traceback
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from filelock import Timeout
 
-from piegraph_cli.errors import DataError, MissingError, PiegraphError
+from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.stages import STAGES, Stage
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, remove_leftovers, write_artifact
+from piegraph_cli.workspace.parallel import each
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 
@@ -117,48 +118,30 @@ def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
     units = [u for u in run.units(stage) if u not in left_out]
     todo = [u for u in units if options.force or run.state(stage, u) != "fresh"]
     outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in todo]
-    jobs = max(1, min(options.jobs, len(todo)))
-    outcomes += _parallel(run, stage, todo, options, jobs)
+    outcomes += _work_through(run, stage, todo, options)
     failed = {o.sequence: o.error for o in outcomes if o.error}
+    _log_outcomes(outcomes)
     if todo:
         run.record_failures(stage, failed)
-    _log_outcomes(outcomes)
     for unit, why in left_out.items():
         error = DataError(f"{LEFT_OUT}: {why.splitlines()[0]}", str(unit))
         outcomes.append(Outcome(stage.name, unit, "failed", 0.0, error=error))
     return sorted(outcomes, key=lambda o: o.sequence or "")
 
 
-def _parallel(run: Run, stage: Stage, units: list[str | None], options: Options, jobs: int) -> list[Outcome]:
+def _work_through(run: Run, stage: Stage, units: list[str | None], options: Options) -> list[Outcome]:
     from tqdm import tqdm
 
-    bar = tqdm(total=len(units), desc=stage.name, leave=False, disable=None if len(units) > 1 else True)
+    many = len(units) > 1 or options.backend == "ray"
+    work = partial(run_unit, run.folder.resolve(), stage.name, options=options, quiet=many)
+
+    def lost(unit: str | None, error: PiegraphError) -> Outcome:
+        return Outcome(stage.name, unit, "failed", 0.0, error=error)
+
+    jobs = max(1, min(options.jobs, len(units)))
+    bar = tqdm(total=len(units), desc=stage.name, leave=False, disable=None if many else True)
     with bar:
-        if jobs == 1 and options.backend == "local":
-            results: Iterable[Outcome] = (run_unit(run.folder, stage.name, u, options, len(units) > 1) for u in units)
-            return [outcome for outcome in results if bar.update() or True]
-        import joblib
-
-        if options.backend == "ray":
-            _register_ray()
-        # joblib replaces workers that have grown, which is no news to a user
-        warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given to the executor")
-        with joblib.parallel_config(backend="ray" if options.backend == "ray" else "loky", n_jobs=jobs):
-            parallel = joblib.Parallel(return_as="generator")
-            work = parallel(joblib.delayed(run_unit)(run.folder, stage.name, u, options, True) for u in units)
-            try:
-                return [outcome for outcome in work if bar.update() or True]
-            except KeyboardInterrupt:
-                joblib.externals.loky.get_reusable_executor().shutdown(wait=True, kill_workers=True)
-                raise
-
-
-def _register_ray() -> None:
-    try:
-        from ray.util.joblib import register_ray
-    except ImportError:
-        raise MissingError("ray is not installed", hint="pip install 'piegraph[cluster]'") from None
-    register_ray()
+        return [outcome for outcome in each(work, units, jobs, options.backend, lost) if bar.update() or True]
 
 
 def run_unit(folder: Path, stage_name: str, sequence: str | None, options: Options, quiet: bool = True) -> Outcome:
@@ -196,7 +179,7 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet:
             inputs[name] = _read_fresh(run, name, sequence if sequences else None)
     checkpoint = Checkpoint(run.checkpoint(stage), key)
     context = Context(run, sequence, options.device, checkpoint, quiet)
-    params = run.recipe.params(stage)
+    params = run.params(stage, sequence)
     output = stage.load()(inputs, params, context)
     write_artifact(
         run.path(stage.writes, sequence),

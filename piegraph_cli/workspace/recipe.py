@@ -47,11 +47,15 @@ class Recipe:
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:
-        """The stages of this recipe, in order: from a simulation or from a recording, on to what the recipe names."""
+        """The stages of this recipe, in order: from a simulation or from a recording, on to what the recipe names.
+
+        A recipe of trials that names neither is the trials alone.
+        """
+        if "trials" in self.sections and not {"simulate", "ingest"} & set(self.sections):
+            return [STAGES["trials"]]
         from_recording = "ingest" in self.sections or "simulate" not in self.sections
         skipped = {"simulate"} if from_recording else {"ingest", "hands", "segment", "fuse", "track"}
-        if "plan" not in self.sections:
-            skipped.add("plan")
+        skipped |= {"plan", "trials"} - set(self.sections)
         return [stage for stage in STAGES.values() if stage.name not in skipped]
 
     def save(self, path: Path) -> None:

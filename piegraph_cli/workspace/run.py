@@ -10,10 +10,11 @@ from typing import Any
 from filelock import FileLock
 
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
-from piegraph_cli.params import IngestParams, SimulateParams
+from piegraph_cli.params import IngestParams, Params, SimulateParams, TrialParams, TrialsParams
 from piegraph_cli.recording.layout import list_sequences
 from piegraph_cli.stages import STAGES, Stage
 from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_header, read_key
+from piegraph_cli.workspace.grid import trial_names, trial_params
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 
 
@@ -61,8 +62,11 @@ class Run:
 
     @cached_property
     def sequences(self) -> list[str]:
-        """Names of the run's sequences, from its simulation or its recording."""
-        if self.recipe.chain()[0].name == "simulate":
+        """Names of the run's sequences, from its simulation or its recording; none in a run of trials alone."""
+        first = self.recipe.chain()[0].name
+        if first == "trials":
+            return []
+        if first == "simulate":
             params = self.recipe.params(STAGES["simulate"])
             assert isinstance(params, SimulateParams)
             return [f"sequence_{i:04d}" for i in range(params.sequences)]
@@ -82,8 +86,20 @@ class Run:
         return params.recording
 
     def units(self, stage: Stage) -> list[str | None]:
-        """What a stage works through: the run's sequences, or the run itself (None)."""
+        """What a stage works through: the run's sequences, its trials, or the run itself (None)."""
+        if stage.per == "trial":
+            params = self.recipe.params(stage)
+            assert isinstance(params, TrialsParams)
+            return list(trial_names(params))
         return list(self.sequences) if stage.per == "sequence" else [None]
+
+    def params(self, stage: Stage, unit: str | None) -> Params:
+        """The settings that one unit of a stage depends on: the stage's, or those of one trial alone."""
+        params = self.recipe.params(stage)
+        if isinstance(params, TrialsParams):
+            assert unit is not None
+            return trial_params(params, unit, params.trained or self.folder.resolve().parent)
+        return params
 
     def inputs(self, stage: Stage, sequence: str | None) -> list[tuple[str, str | None]]:
         """The (artifact, sequence) files a stage reads; sequences that failed earlier are left out of a run's stage."""
@@ -104,7 +120,7 @@ class Run:
         """The key the stage's artifact has when it is fresh: a hash of the stage, its settings and its inputs' keys."""
         slot = (stage.name, sequence)
         if slot not in self._keys:
-            params = self.recipe.params(stage)
+            params = self.params(stage, sequence)
             settings = params.model_dump(mode="json")
             gone = [path for path in params.files().values() if not path.exists()]
             if gone and (kept := self._kept_key(stage, sequence, settings)):
@@ -112,6 +128,8 @@ class Run:
                 return kept
             for name, path in params.files().items():
                 settings[name] = content_hash(path / sequence if path.is_dir() and sequence else path, name)
+            if isinstance(params, TrialParams) and params.network:
+                settings["network"] = read_key(params.network, "model")
             inputs = [[name, s, self.key(self.producer(name), s)] for name, s in self.inputs(stage, sequence)]
             unit = sequence if not stage.reads else None
             text = json.dumps([stage.name, stage.version, unit, settings, inputs], sort_keys=True)
@@ -135,7 +153,7 @@ class Run:
             return "unreadable"
         if header.version != stage.version:
             return f"made by version {header.version} of the stage, this is version {stage.version}"
-        settings = self.recipe.params(stage).model_dump(mode="json")
+        settings = self.params(stage, sequence).model_dump(mode="json")
         changed = [name for name, value in settings.items() if header.params.get(name) != value]
         return f"settings changed: {', '.join(changed)}" if changed else "what it was made from has changed"
 
@@ -152,7 +170,7 @@ class Run:
         """Why this stage, or one before it, failed on a sequence with the settings in force; None where none did."""
         for earlier in self.recipe.chain():
             record = self.failures.get(f"{earlier.name}/{sequence}")
-            if earlier.per == "sequence" and record and record["key"] == self.key(earlier, sequence):
+            if earlier.per != "run" and record and record["key"] == self.key(earlier, sequence):
                 return record["message"]
             if earlier == stage:
                 break

@@ -127,6 +127,14 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "start_distance": Field("episode", "m", "float64"),
         "end_distance": Field("episode", "m", "float64", nan=True),
     },
+    "trials": {
+        "goal": Field("goal_point,xyz", "m", "float32"),
+        **_STEPS,
+        "start_distance": Field("", "m", "float64"),
+        "end_distance": Field("", "m", "float64"),
+        "pd": Field("state", "m", "float64"),
+        "cd": Field("state", "m", "float64"),
+    },
     "truth": {
         "particles": Field("frame,material_point,xyz", "m", "float32"),
         "object_mask": Field("object_mask_byte", "encoded image", "uint8"),

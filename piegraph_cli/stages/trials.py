@@ -1,0 +1,77 @@
+"""Stage `trials`: one episode of planning in a simulated environment, and the summary of all of them."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piegraph_cli.dynamics.models import MODELS
+from piegraph_cli.errors import DataError
+from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
+from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
+from piegraph_cli.params import PlanParams, TrialParams, TrialsParams
+from piegraph_cli.stages import STAGES
+from piegraph_cli.stages.closed_loop import play, step_arrays
+from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
+from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.grid import split_name
+from piegraph_cli.workspace.run import Run
+
+
+def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output:
+    """Play one trial. Distances along it are kept: `pd` and `cd` [strokes + 1] (m), the first before any stroke."""
+    episode, last = play(_read_model(params), params.plan, start=params.seed, goal=params.goal)
+    states = [*(step.before for step in episode.steps), last]
+    arrays = step_arrays(episode.steps, len(last)) | {
+        "goal": episode.goal,
+        "start_distance": np.array(episode.start_distance),
+        "end_distance": np.array(episode.end_distance),
+        "pd": np.array([particle_distance(state, episode.goal) for state in states]) / CENTIMETRE,
+        "cd": np.array([chamfer_distance(state, episode.goal) for state in states]) / CENTIMETRE,
+    }
+    return Output(arrays, _quality(episode.end_distance, len(episode.steps), params.plan))
+
+
+def _quality(end: float, strokes: int, plan: PlanParams) -> str:
+    if end < plan.success:
+        return f"{end * 100:.1f} cm from the goal after {strokes} strokes"
+    return f"{end * 100:.1f} cm from the goal after {strokes} strokes, not below {plan.success * 100:g} cm"
+
+
+def _read_model(params: TrialParams) -> Artifact | None:
+    if params.network is None or not MODELS[params.plan.model].network:
+        return None
+    key = read_key(params.network, "model")
+    if key is None and not params.network.exists():
+        env, folder = params.plan.env, params.network.parent
+        raise DataError(f"no network is trained for {env}", str(params.network), f"piegraph run {env} --run {folder}")
+    return _read_once(params.network, key)
+
+
+@lru_cache(maxsize=8)
+def _read_once(path: Path, key: str | None) -> Artifact:
+    """The model artifact, read once per process as long as its key stays."""
+    return read_artifact(path, "model")
+
+
+def read_trials(run: Run) -> list[Trial]:
+    """The trials of a run's grid that are fresh, with their distances."""
+    stage, trials = STAGES["trials"], []
+    for name in run.units(stage):
+        if run.state(stage, name) != "fresh":
+            continue
+        artifact = read_artifact(run.path(stage.writes, name), stage.writes)
+        trials.append(Trial(*split_name(str(name)), artifact["pd"], artifact["cd"], artifact["seconds"]))
+    return trials
+
+
+def describe(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """A run's trials as one object and as lines for people."""
+    run = Run.open(folder)
+    params = run.recipe.params(STAGES["trials"])
+    assert isinstance(params, TrialsParams)
+    trials = read_trials(run)
+    results, comparisons = summarise_trials(trials, params.thresholds), compare_trials(trials, params.thresholds)
+    value = {"trials": str(folder / "trials"), "units": "m", "results": results, "cliffs_delta": comparisons}
+    return value, trial_lines(results, comparisons, params.strokes)

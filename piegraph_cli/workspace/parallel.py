@@ -1,0 +1,94 @@
+"""One function over many items: one after the other, in processes of this machine (joblib), or on a Ray cluster."""
+
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+from piegraph_cli.errors import MissingError, PiegraphError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+RETRIES = 5
+"""How often an item is tried again on Ray when the node or process that works on it dies."""
+
+
+def each(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    jobs: int,
+    backend: str,
+    lost: Callable[[Item, PiegraphError], Result],
+) -> Iterator[Result]:
+    """The result of `work(item)` for every item, as they come; `lost(item, error)` for one that kills its processes.
+
+    `jobs` processes work at a time on this machine; on a cluster, one per core of it. `work` handles its own errors.
+    """
+    if backend == "ray":
+        yield from _on_ray(work, items, jobs, lost)
+    elif jobs == 1:
+        yield from map(work, items)
+    else:
+        yield from _in_processes(work, items, jobs)
+
+
+def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+    import joblib
+    from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    # joblib replaces workers that have grown, which is no news to a user
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given to the executor")
+    try:
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+        yield from parallel(joblib.delayed(work)(item) for item in items)
+    except TerminatedWorkerError:
+        raise MissingError(
+            "a worker process was killed, for want of memory perhaps", hint="fewer --jobs; what is done is kept"
+        ) from None
+    except KeyboardInterrupt:
+        get_reusable_executor().shutdown(wait=True, kill_workers=True)
+        raise
+
+
+def _on_ray(
+    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, lost: Callable[[Item, PiegraphError], Result]
+) -> Iterator[Result]:
+    ray = _connect(jobs)
+    try:
+        task = ray.remote(num_cpus=1, max_retries=RETRIES)(_call).options(name="piegraph")
+        waiting = {task.remote(work, item): item for item in items}
+        while waiting:
+            (done,), _ = ray.wait(list(waiting), num_returns=1)
+            item = waiting.pop(done)
+            try:
+                yield ray.get(done)
+            except ray.exceptions.RayError as error:
+                reason = str(error).splitlines()[0]
+                hint = "look at the memory of the cluster's nodes; what is done is kept"
+                yield lost(item, MissingError(f"lost {RETRIES + 1} times: {reason}", hint=hint))
+    finally:
+        ray.shutdown()
+
+
+def _call(work: Callable[[Item], Result], item: Item) -> Result:
+    return work(item)
+
+
+def _connect(jobs: int) -> Any:
+    """Ray, connected to the cluster at RAY_ADDRESS or on this machine, or else started with `jobs` cores."""
+    try:
+        import ray
+    except ImportError:
+        raise MissingError("ray is not installed", hint="pip install 'piegraph[cluster]'") from None
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    try:
+        ray.init(address="auto", **quiet)
+    except ConnectionError as error:
+        if address := os.environ.get("RAY_ADDRESS"):
+            raise MissingError(f"no Ray cluster answers: {error}", address, "correct or unset RAY_ADDRESS") from None
+        ray.init(address="local", num_cpus=jobs, include_dashboard=False, **quiet)
+    return ray

@@ -96,7 +96,7 @@ class ClothOptions(Params):
     size: float = Field(0.3, gt=0, description="width and height [m]")
     young: float = Field(3e4, gt=0, description="Young's modulus [Pa]")
     density: float = Field(0.25, gt=0, description="mass per area [kg/m2]")
-    friction: float = Field(0.6, ge=0, description="Coulomb coefficient with the table")
+    friction: float = Field(0.6, ge=0, description="Coulomb coefficient with table, pusher and itself")
     goal: Literal["moved", "crumpled"] = Field(
         "moved", description="goals: moved up to 15 cm and turned up to 70 degrees, or what two random picks make"
     )
@@ -120,7 +120,7 @@ class DaXBenchOptions(Params):
 
     python: Path | None = Field(None, description="interpreter that has DaXBench's packages")
     repo: Path | None = Field(None, description="folder of the DaXBench repository")
-    timeout: float = Field(600.0, gt=0, description="longest that one stroke may take [s]")
+    timeout: float = Field(600.0, gt=0, description="longest wait for one answer of DaXBench [s]")
 
 
 class EnvironmentParams(Params):

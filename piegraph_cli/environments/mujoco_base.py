@@ -29,19 +29,22 @@ def scene(
     timestep: float = 0.005,
     solver: str = "Newton",
     iterations: int = 50,
+    impratio: float = 1,
     more: str = "",
 ) -> str:
     """MJCF of an object on the table z = 0 beside the pusher.
 
     `flexcomp` is the object's element, its points around the origin; `friction` the Coulomb coefficient of table and
-    pusher (MuJoCo takes the larger one of a pair: give the object the same); `more` follows the world body.
+    pusher (MuJoCo takes the larger one of a pair: give the object the same); `impratio` how much harder friction is than
+    the normal force (objects at rest creep less); `more` follows the world body.
     Friction cones are elliptic: with pyramids, where a stroke leaves a rope depends on its yaw by 4 mm.
     """
     axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
     slides = "".join(f'<joint name="pusher_{n}" type="slide" axis="{axis}"/>' for n, axis in axes.items())
     motors = "".join(f'<position name="pusher_{n}" joint="pusher_{n}" kp="1e4" dampratio="1"/>' for n in axes)
     return f"""<mujoco>
-  <option timestep="{timestep}" integrator="discrete" cone="elliptic" solver="{solver}" iterations="{iterations}">
+  <option timestep="{timestep}" integrator="discrete" cone="elliptic" impratio="{impratio}" solver="{solver}"
+    iterations="{iterations}">
     <flag autoreset="disable"/>
   </option>
   <size memory="64M"/>

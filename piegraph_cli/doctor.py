@@ -9,7 +9,11 @@ from dataclasses import dataclass
 from piegraph_cli.weights import WEIGHTS, cache_folder
 
 REQUIRED = ("torch", "open3d", "mediapipe", "cv2", "segment_anything", "h5py", "scipy", "matplotlib")
-OPTIONAL = {"pymunk": "sim", "gymnasium": "sim", "trimesh": "sim", "embreex": "sim", "viser": "view", "ray": "cluster"}
+OPTIONAL = {
+    **dict.fromkeys(("pymunk", "mujoco", "gymnasium", "trimesh", "embreex", "skimage"), "sim"),
+    "viser": "view",
+    "ray": "cluster",
+}
 LIBRARIES_HINT = "on Debian or Ubuntu: sudo apt-get install libgl1 libegl1 libgles2 libx11-6 libudev1"
 
 

@@ -56,6 +56,8 @@ class Environment(gymnasium.Env):
     """Of random pushes, metres."""
     triangles: np.ndarray
     """[T, 3] of `surface`, facing outwards."""
+    color = (0.035, 0.13, 0.52)
+    """Linear RGB of the object in recordings."""
 
     def __init__(self, particles: int):
         if particles < 4:
@@ -221,5 +223,7 @@ def check_state(state: dict[str, np.ndarray], names: tuple[str, ...], where: str
     for name in names:
         if name not in state or not np.isfinite(state[name]).all():
             raise DataError(
-                f"its {name} is missing or not finite: not a state of this environment", where, "use what get_state gave"
+                f"its {name} is missing or not finite: not a state of this environment",
+                where,
+                "use what get_state gave",
             )

@@ -1,4 +1,4 @@
-"""How a person holds the right hand and arm while the fingertips push: grips, joints and surfaces; no rendering."""
+"""How a person holds the right hand and arm while the fingertips push or pinch: grips, joints, surfaces; no rendering."""
 
 import math
 from dataclasses import dataclass
@@ -18,6 +18,8 @@ _ABOVE = np.array([0.02, 0.06, 0.15, 0.30])
 _WIDE = np.array([0.020, 0.0262, 0.0268, 0.029, 0.034, 0.037, 0.043, 0.044, 0.045, 0.044, 0.045, 0.047, 0.051, 0.055])
 _THICK = np.array([0.014, 0.0188, 0.0195, 0.023, 0.030, 0.034, 0.040, 0.043, 0.045, 0.046, 0.046, 0.047, 0.051, 0.055])
 _SLEEVE_FROM = 6
+_PAD = 0.008
+"""How far below the middle of pinching fingertips they hold something, metres."""
 _SKIN, _SLEEVE = np.array([0.60, 0.335, 0.225]), np.array([0.09, 0.10, 0.12])
 
 
@@ -29,6 +31,8 @@ class Grip:
     """Direction of the fingers in the table plane, rad."""
     steep: float
     """0: palm low, fingers reach forward; 1: palm high, fingers point down."""
+    pinch: float = 0.0
+    """0: index and middle finger push; 1: the thumb meets them; between: an open hand about to pinch."""
 
 
 @dataclass(frozen=True)
@@ -44,29 +48,53 @@ class Arm:
 
 
 def held(hand: Hand, grip: Grip) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and landmarks (m) of a grip in world axes, the middle of index and middle fingertip at the origin."""
-    steep = grip.steep
-    bend = (0.30 + 0.30 * steep, 0.30 + 0.15 * steep, 0.18)
-    flexion = {
-        "thumb": (0.10 - 0.10 * steep, 0.22 - 0.15 * steep, 0.25 - 0.2 * steep),
-        "index": bend,
-        "middle": (bend[0] + 0.04, bend[1] + 0.05, bend[2]),
-        "ring": (bend[0] + 0.12, bend[1] + 0.14, bend[2] + 0.08),
-        "pinky": (bend[0] + 0.18, bend[1] + 0.18, bend[2] + 0.10),
-    }
-    spread = {"thumb": -0.45, "index": -0.02, "middle": 0.06, "ring": 0.17, "pinky": 0.22}
-    vertices, landmarks = hand.pose(flexion, spread)
-    pitch = 0.42 + 0.28 * steep
+    """Vertices and landmarks (m) of a grip in world axes; the origin is what pushes or what is held.
+
+    A pushing hand has it in the middle of index and middle fingertip, a pinching one just below the middle of thumb,
+    index and middle fingertip.
+    """
+    pushing, pinching = _pushing(grip.steep), _pinching(grip.steep)
+    mixed = {finger: (1 - grip.pinch) * pushing[finger] + grip.pinch * pinching[finger] for finger in pushing}
+    vertices, landmarks = hand.pose(
+        {finger: tuple(angles[:3]) for finger, angles in mixed.items()},
+        {finger: float(angles[3]) for finger, angles in mixed.items()},
+    )
+    pitch = (1 - grip.pinch) * (0.42 + 0.28 * grip.steep) + grip.pinch * (0.30 + 0.40 * grip.steep)
     cos, sin = math.cos(grip.heading), math.sin(grip.heading)
     tilt = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ tilt
     vertices, landmarks = vertices @ turn.T, landmarks @ turn.T
-    tip = (landmarks[8] + landmarks[12]) / 2
+    pusher = (landmarks[8] + landmarks[12]) / 2
+    tip = pusher + grip.pinch * ((landmarks[4] - pusher) / 2 - np.array([0, 0, _PAD]))
     return vertices - tip, landmarks - tip
 
 
+def _pushing(steep: float) -> dict[str, np.ndarray]:
+    """Per finger the bend of its three bones and its spread, rad, as in `Hand.pose`: fingers nearly straight."""
+    first, second, third = 0.30 + 0.30 * steep, 0.30 + 0.15 * steep, 0.18
+    return {
+        "thumb": np.array([0.10 - 0.10 * steep, 0.22 - 0.15 * steep, 0.25 - 0.2 * steep, -0.45]),
+        "index": np.array([first, second, third, -0.02]),
+        "middle": np.array([first + 0.04, second + 0.05, third, 0.06]),
+        "ring": np.array([first + 0.12, second + 0.14, third + 0.08, 0.17]),
+        "pinky": np.array([first + 0.18, second + 0.18, third + 0.10, 0.22]),
+    }
+
+
+def _pinching(steep: float) -> dict[str, np.ndarray]:
+    """As `_pushing`, with thumb, index and middle fingertip together and the other two fingers off the table."""
+    first, second, third = 1.11 + 0.07 * steep, 0.79, 0.39
+    return {
+        "thumb": np.array([0.43 + 0.05 * steep, 0.25 + 0.03 * steep, 0.27, -0.62 + 0.04 * steep]),
+        "index": np.array([0.92 + 0.03 * steep, 0.85 + 0.16 * steep, 0.43 + 0.06 * steep, -0.06]),
+        "middle": np.array([first, second, third, 0.06]),
+        "ring": np.array([first + 0.10, second + 0.12, third + 0.06, 0.15]),
+        "pinky": np.array([first + 0.16, second + 0.16, third + 0.10, 0.20]),
+    }
+
+
 def arm_at(hand: Hand, grip: Grip, tip: np.ndarray) -> Arm:
-    """Hand and forearm with the fingertips at `tip` [3] (m)."""
+    """Hand and forearm with what pushes or what is held at `tip` [3] (m)."""
     vertices, landmarks = held(hand, grip)
     vertices, landmarks = vertices + tip, landmarks + tip
     wrist = landmarks[0]
@@ -79,18 +107,19 @@ def arm_at(hand: Hand, grip: Grip, tip: np.ndarray) -> Arm:
     return Arm(vertices + cuff * (bent - vertices), landmarks, _forearm(wrist, back, fingers))
 
 
-def choose_grip(hand: Hand, heading: float, tips: np.ndarray, inside) -> Grip:
+def choose_grip(hand: Hand, heading: float, tips: np.ndarray, inside, pinch: float = 0.0) -> Grip:
     """The comfortable grip for a stroke along `heading` (rad) that least reaches into the object.
 
-    `tips` [F, 3] (m) is the fingertips' path; `inside(frame, points [V, 3])` says which points lie in the object.
+    `pinch` is the grip's. `tips` [F, 3] (m) is the fingertips' path; `inside(frame, points [V, 3])` says which points
+    lie in the object.
     """
     forward = math.pi / 2
     off = math.remainder(heading - forward, 2 * math.pi)
     wanted = forward + (max(-0.7, min(off, 1.0)) if abs(off) < 2.0 else 0.0)
-    best, best_cost = Grip(wanted, 0.0), math.inf
+    best, best_cost = Grip(wanted, 0.0, pinch), math.inf
     for steep in (0.0, 0.5, 1.0):
         for turned in np.linspace(forward - 0.8, forward + 1.1, 9):
-            grip = Grip(float(turned), steep)
+            grip = Grip(float(turned), steep, pinch)
             vertices, _ = held(hand, grip)
             hits = np.mean([inside(k, vertices + tips[k]).mean() for k in range(0, len(tips), 2)])
             cost = 40 * hits + 0.3 * abs(turned - wanted) + 0.25 * steep

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from piegraph_cli.environments import noise
-from piegraph_cli.environments.base import FRAME_RATE, MODE_NAMES, TIP_HEIGHT, Environment
+from piegraph_cli.environments.base import FRAME_RATE, MODE_NAMES, PICK, TIP_HEIGHT, Environment
 from piegraph_cli.environments.hand import Hand
 from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, hand_colors
 from piegraph_cli.environments.render import HAND, OBJECT, Part, Renderer, Solid
@@ -17,7 +17,8 @@ _LIFT = 0.085
 _TRAVEL = 0.09
 _AWAY = np.array([0.06, -0.38, 0.16])
 _EMPTY = 2
-_BLOCK_COLOR = (0.035, 0.13, 0.52)
+_OPEN, _ABOVE = 0.5, np.array([0.0, 0.0, 0.012])
+"""How far a hand closes that is about to pinch, and how far above it waits, metres."""
 
 
 @dataclass(frozen=True)
@@ -86,22 +87,34 @@ def _play(env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = ()
 
 
 def plan_moments(env: Environment, seed: int, strokes: int, hand: Hand, modes: tuple[str, ...] = ()) -> list[Moment]:
-    """The whole recording frame by frame: no hand, approach, strokes with transits between them, retreat, no hand."""
+    """The whole recording frame by frame: no hand, approach, strokes with transits between them, retreat, no hand.
+
+    Before and after a pick the hand is open above the place for one frame.
+    """
     path: list[tuple] = []
     for number, stroke in enumerate(_play(env, seed, strokes, modes)):
         shapes, tips = stroke["shapes"], stroke["pusher"]
-        along = tips[-1] - tips[0]
-        solids = [Solid(vertices, env.triangles) for vertices in env.surface(shapes)]
-        grip = choose_grip(hand, math.atan2(along[1], along[0]), tips, lambda k, points, s=solids: s[k].inside(points))
-        before = path[-1] if path else (shapes[0], _AWAY, grip, -1)
+        grip = _grip_of(env, stroke, hand)
+        acting = [(shape, tip, grip, number) for shape, tip in zip(shapes, tips, strict=True)]
+        if stroke["mode"] == PICK:
+            opened = replace(grip, pinch=_OPEN)
+            acting = [(shapes[0], tips[0] + _ABOVE, opened, -1), *acting, (shapes[-1], tips[-1] + _ABOVE, opened, -1)]
         if not path:
-            path += [(shapes[0], None, None, -1)] * _EMPTY + [before]
-        path += _transit(before, (shapes[0], tips[0], grip, -1))
-        path += [(shape, tip, grip, number) for shape, tip in zip(shapes, tips, strict=True)]
+            path += [(shapes[0], None, None, -1)] * _EMPTY + [(shapes[0], _AWAY, acting[0][2], -1)]
+        path += _transit(path[-1], acting[0]) + acting
     shape, _, grip, _ = path[-1]
     leaves = (shape, _AWAY, grip, -1)
     path += [*_transit(path[-1], leaves), leaves, *[(shape, None, None, -1)] * _EMPTY]
     return [Moment(k / FRAME_RATE, *entry) for k, entry in enumerate(path)]
+
+
+def _grip_of(env: Environment, stroke: dict, hand: Hand) -> Grip:
+    """How the hand is held in a stroke, given its info."""
+    tips = stroke["pusher"]
+    along = tips[-1] - tips[0]
+    solids = [Solid(vertices, env.triangles) for vertices in env.surface(stroke["shapes"])]
+    heading, pinch = math.atan2(along[1], along[0]), float(stroke["mode"] == PICK)
+    return choose_grip(hand, heading, tips, lambda k, points: solids[k].inside(points), pinch)
 
 
 def _transit(before: tuple, after: tuple) -> list[tuple]:
@@ -116,9 +129,8 @@ def _transit(before: tuple, after: tuple) -> list[tuple]:
     even = np.arange(1, count) / count
     for share in (even**2 * (3 - 2 * even)).tolist():
         tip = np.array([np.interp(share * reach[-1], reach, corners[:, axis]) for axis in range(3)])
-        heading = (1 - share) * from_grip.heading + share * to_grip.heading
-        grip = Grip(heading, (1 - share) * from_grip.steep + share * to_grip.steep)
-        entries.append((shape, tip, grip, -1))
+        mixed = (1 - share) * np.array(astuple(from_grip)) + share * np.array(astuple(to_grip))
+        entries.append((shape, tip, Grip(*mixed.tolist()), -1))
     return entries
 
 
@@ -152,7 +164,7 @@ def record(
 
 
 def _parts(env: Environment, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part], np.ndarray]:
-    parts = [Part(env.surface(moment.shape), env.triangles, OBJECT, np.array([_BLOCK_COLOR]))]
+    parts = [Part(env.surface(moment.shape), env.triangles, OBJECT, np.array([env.color]))]
     if moment.tip is None or moment.grip is None:
         return parts, np.full((21, 3), np.nan)
     arm = arm_at(hand, moment.grip, moment.tip)

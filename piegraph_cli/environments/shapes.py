@@ -16,13 +16,6 @@ class Block:
     height: float
     """Metres; the block stands on z = 0."""
 
-    def inside(self, points: np.ndarray) -> np.ndarray:
-        """Which body-frame points [..., 3] (m) lie strictly inside the block, bool [...]."""
-        x, y, z = points[..., 0, None], points[..., 1, None], points[..., 2]
-        low_x, low_y, high_x, high_y = self.rectangles.T
-        flat = ((x > low_x) & (x < high_x) & (y > low_y) & (y < high_y)).any(-1)
-        return flat & (z > 0) & (z < self.height)
-
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
         """Closed surface in the body frame: vertices [V, 3] (m) and outward-facing triangles [T, 3]."""
         corners = np.concatenate([[[a, b], [c, b], [c, d], [a, d]] for a, b, c, d in self.rectangles])

@@ -15,7 +15,8 @@ def distance_to_block(env, pose, points):
     along = ((body[:, None] - corners) * edges).sum(-1) / (edges**2).sum(-1)
     nearest = corners + np.clip(along, 0, 1)[..., None] * edges
     distance = np.linalg.norm(body[:, None] - nearest, axis=-1).min(1)
-    inside = env.block.inside(np.column_stack([body, np.full(len(body), 0.01)]))
+    low, high = env.block.rectangles[:, :2], env.block.rectangles[:, 2:]
+    inside = ((body[:, None] > low) & (body[:, None] < high)).all(-1).any(-1)
     return np.where(inside, -distance, distance)
 
 

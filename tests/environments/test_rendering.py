@@ -1,10 +1,7 @@
-"""The camera rig, ray casting, sensor noise, the hand and whole recordings, on small pictures."""
+"""The camera rig, ray casting, sensor noise, and the hand, on small pictures."""
 
-import json
 import math
-import struct
 import warnings
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -12,60 +9,15 @@ import pytest
 
 pytest.importorskip("embreex", reason="the `sim` extra is not installed: pip install 'piegraph[sim]'")
 
-from block_distance import distance_to_surface
+from block_distance import distance_to_block, distance_to_surface
 
 from piegraph_cli import environments
 from piegraph_cli.environments import hand as hands
 from piegraph_cli.environments import noise
 from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, held
-from piegraph_cli.environments.recording import plan_moments, record
-from piegraph_cli.environments.render import HAND, OBJECT, TABLE, Part, Renderer, wood_texture
+from piegraph_cli.environments.render import HAND, OBJECT, TABLE, Part, Renderer, Solid, wood_texture
 from piegraph_cli.environments.rig import camera_rig
-from piegraph_cli.environments.shapes import place
 from piegraph_cli.errors import DataError, MissingError
-
-
-@pytest.fixture(scope="module")
-def glb(tmp_path_factory):
-    """A hand with the real joint names whose mesh is a small triangle around every joint."""
-    names = ["wrist", *(name for chain in hands.CHAINS.values() for name in chain)]
-    joints = np.zeros((len(names), 3))
-    for row, (finger, chain) in enumerate(hands.CHAINS.items()):
-        for k, name in enumerate(chain):
-            side = -0.02 * (2 - row)
-            joints[names.index(name)] = (
-                [0.0, -0.03 - 0.03 * k, side] if finger != "thumb" else [-0.01, -0.03 - 0.02 * k, -0.05]
-            )
-    offsets = np.array([[0.006, 0, 0], [-0.004, 0, 0.006], [-0.004, 0, -0.006]])
-    points = (joints[:, None] + offsets).reshape(-1, 3).astype(np.float32)
-    owners = np.zeros((len(points), 4), np.uint8)
-    owners[:, 0] = np.repeat(np.arange(len(names)), 3)
-    shares = np.tile(np.float32([1, 0, 0, 0]), (len(points), 1))
-    triangles = np.arange(len(points), dtype=np.uint16)
-    blobs = [(points, 5126, "VEC3"), (owners, 5121, "VEC4"), (shares, 5126, "VEC4"), (triangles, 5123, "SCALAR")]
-    views, accessors, body = [], [], b""
-    for blob, kind, shape in blobs:
-        accessors.append({"bufferView": len(views), "componentType": kind, "count": len(blob), "type": shape})
-        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": blob.nbytes})
-        body += blob.tobytes() + b"\0" * (-blob.nbytes % 4)
-    gltf = {
-        "nodes": [{"name": n, "translation": j.tolist()} for n, j in zip(names, joints, strict=True)],
-        "skins": [{"joints": list(range(len(names)))}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}, "indices": 3}]}],
-        "accessors": accessors,
-        "bufferViews": views,
-    }
-    text = json.dumps(gltf).encode()
-    text += b" " * (-len(text) % 4)
-    header = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(body)) + struct.pack("<I4s", len(text), b"JSON")
-    path = tmp_path_factory.mktemp("hand") / "right.glb"
-    path.write_bytes(header + text + struct.pack("<I4s", len(body), b"BIN\0") + body)
-    return path
-
-
-@pytest.fixture(scope="module")
-def hand(glb):
-    return hands.load_hand(glb)
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +26,7 @@ def env():
 
 
 def block_part(env, pose):
-    vertices, triangles = env.block.mesh()
-    return Part(place(vertices, np.array(pose)), triangles, OBJECT, np.array([[0.1, 0.1, 0.5]]))
+    return Part(env.surface(np.array(pose)), env.triangles, OBJECT, np.array([[0.1, 0.1, 0.5]]))
 
 
 def test_cameras_look_at_the_table_from_four_sides():
@@ -116,6 +67,15 @@ def test_a_block_darkens_the_table_beside_it_only(env):
     darker = (empty.color - full.color).mean(-1) > 0.02
     assert 20 < (darker & table).sum() < 0.2 * table.sum()
     assert (full.color <= empty.color + 1e-5)[table].all()
+
+
+def test_a_solid_knows_what_lies_inside(env):
+    pose = np.array([0.03, -0.02, 0.8])
+    points = np.random.default_rng(0).uniform([-0.2, -0.2, -0.02], [0.2, 0.2, 0.06], (4000, 3))
+    aside, height = distance_to_block(env, pose, points[:, :2]), points[:, 2]
+    truly = (aside < 0) & (height > 0) & (height < env.block.height)
+    assert 100 < truly.sum() < 1000
+    assert np.array_equal(Solid(env.surface(pose), env.triangles).inside(points), truly)
 
 
 def test_wood_is_brown_and_the_same_each_time():
@@ -197,6 +157,15 @@ def test_fingertips_are_where_the_pusher_is(hand):
         assert arm.forearm[0][:, 1].min() < -0.3
 
 
+def test_a_pinch_meets_below_the_tips_and_closes_steadily(hand):
+    tip = np.array([0.1, -0.05, 0.005])
+    for pinch in (0.0, 0.5, 1.0):
+        landmarks = arm_at(hand, Grip(1.2, 0.5, pinch), tip).landmarks
+        fingers = (landmarks[8] + landmarks[12]) / 2
+        held_at = fingers + pinch * ((landmarks[4] - fingers) / 2 - [0, 0, 0.008])
+        np.testing.assert_allclose(held_at, tip, atol=1e-12)
+
+
 def test_the_grip_avoids_the_object(hand):
     tips = np.tile([0.0, 0.0, 0.018], (4, 1))
     vertices, _ = held(hand, Grip(math.pi / 2, 0.0))
@@ -223,44 +192,6 @@ def test_without_npm_the_way_out_is_named(tmp_path, monkeypatch):
         hands.load_hand()
 
 
-def test_a_recording_begins_and_ends_without_the_hand(env, hand):
-    moments = plan_moments(env, seed=5, strokes=2, hand=hand)
-    out = [k for k, m in enumerate(moments) if m.tip is None]
-    assert out == [0, 1, len(moments) - 2, len(moments) - 1]
-    assert sorted({m.stroke for m in moments}) == [-1, 0, 1]
-    tips = [m.tip for m in moments if m.tip is not None]
-    assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() < 0.2
-    between = [m for before, m in pairwise(moments) if m.stroke < 0 <= before.stroke]
-    assert len(between) == 2
-    poses = np.array([m.shape for m in moments])
-    moving = np.linalg.norm(np.diff(poses, axis=0), axis=1) > 0
-    assert all(moments[k].stroke >= 0 and moments[k + 1].stroke >= 0 for k in np.flatnonzero(moving))
-
-
-def test_recording_is_bit_equal_and_true(env, hand):
-    cameras = camera_rig(80, 60)[:2]
-    runs = []
-    for _ in range(2):
-        stream = record(env, 6, 1, cameras, hand)
-        runs.append([next(stream) for _ in range(6)])
-    for first, second in zip(*runs, strict=True):
-        assert all(
-            np.array_equal(a, b) for a, b in zip(first.color + first.depth, second.color + second.depth, strict=True)
-        )
-        assert np.array_equal(first.stamps, second.stamps)
-    frames = runs[0]
-    assert frames[0].color[0].shape == (60, 80, 3)
-    assert frames[0].depth[0].dtype == np.uint16
-    assert not frames[0].hand_mask.any()
-    assert np.isnan(frames[0].landmarks).all()
-    assert frames[-1].hand_mask.any()
-    assert np.isfinite(frames[-1].landmarks).all()
-    assert not (frames[-1].hand_mask & frames[-1].object_mask).any()
-    stamps = np.array([frame.stamps for frame in frames])
-    assert np.abs(stamps - np.array([frame.moment.time for frame in frames])[:, None]).max() <= 0.005
-    assert (np.diff(stamps, axis=0) > 0).all()
-
-
 def test_the_real_hand_stands_on_its_fingertips(env):
     if not hands.cached_hand().is_file():
         try:
@@ -273,6 +204,13 @@ def test_the_real_hand_stands_on_its_fingertips(env):
         arm = arm_at(real, Grip(1.5, steep), np.array([0.0, 0.0, 0.018]))
         assert 0.0 < arm.hand[:, 2].min() < 0.015
         assert 0.15 < np.linalg.norm(arm.hand[:, None] - arm.landmarks[0], axis=-1).max() < 0.25
+    apart = []
+    for steep, pinch in ((0.0, 0.5), (0.0, 1.0), (1.0, 1.0)):
+        arm = arm_at(real, Grip(1.5, steep, pinch), np.array([0.0, 0.0, 0.005 if pinch == 1 else 0.017]))
+        assert -0.002 < arm.hand[:, 2].min() < 0.005
+        apart.append(max(np.linalg.norm(arm.landmarks[4] - arm.landmarks[k]) for k in (8, 12)))
+    assert apart[0] > 0.035
+    assert max(apart[1:]) < 0.02
     vertices, triangles = arm.hand, real.triangles
     view = Renderer(camera_rig(160, 120))
     shown = view.render([Part(vertices, triangles, HAND, np.array([[0.6, 0.3, 0.2]]), smooth=True)])

@@ -12,7 +12,7 @@ from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import MODE_NAMES, PlanParams
 from piegraph_cli.physics.tracking import choose_particles
 from piegraph_cli.planning.mpc import Step
-from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
+from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, set_up_torch, step_arrays
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.execute import Context, Output
 
@@ -40,7 +40,7 @@ def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Ou
 
 
 def _plan_once(model: Artifact, params: PlanParams) -> Episode:
-    torch.set_num_threads(1)
+    set_up_torch()
     assert params.state is not None
     cloud, particles = read_points(params.state, None), int(model["particles"])
     if len(cloud) < particles:

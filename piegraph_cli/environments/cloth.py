@@ -42,6 +42,7 @@ class Cloth(MujocoEnvironment):
     """
 
     modes = (PICK, PUSH)
+    color = (0.32, 0.03, 0.22)
     settle_speed = 0.03
     settle_time = 0.6
     outline_radius = 2 * _RADIUS

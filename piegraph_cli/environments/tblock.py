@@ -14,7 +14,6 @@ from piegraph_cli.environments.base import (
     CLEARANCE,
     FRAME_RATE,
     PUSHER_RADIUS,
-    STROKE_LENGTHS,
     TIP_HEIGHT,
     Environment,
     Motion,
@@ -77,7 +76,7 @@ class TBlock(Environment):
         space, _ = self._space(self._pose)
         outline = np.column_stack([self.block.outline, np.zeros(len(self.block.outline))])
         while True:
-            heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*STROKE_LENGTHS)
+            heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*self.stroke_lengths)
             along = np.array([math.cos(heading), math.sin(heading)])
             if (np.abs(self._pose[:2] + along * (length - CLEARANCE)) > _CENTRE_LIMIT).any():
                 continue

@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.evaluation import figures, overlays
+from piegraph_cli.evaluation import figures, overlays, trial_figures
 from piegraph_cli.evaluation.tables import summarise
+from piegraph_cli.evaluation.trials import compare_trials
+from piegraph_cli.params import TrialsParams
 from piegraph_cli.recording.images import ImageStack
+from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.ingest import cameras_of, color_of
 from piegraph_cli.stages.scores import true_positions
+from piegraph_cli.stages.trials import read_trials
 from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact, read_key
 from piegraph_cli.workspace.run import Run
 
@@ -33,8 +37,8 @@ def draw_report(folder: Path) -> list[Path]:
     """
     run, out = Run.open(folder), folder / "report"
     drawn, index = _read_index(out), {}
-    for group, sequence, names, draw in _groups(run):
-        keys = {name: key for name in names if (key := read_key(run.path(name, sequence), name))}
+    for group, sequence, artifacts, draw in _groups(run):
+        keys = {f"{name} {unit}": key for name, unit in artifacts if (key := read_key(run.path(name, unit), name))}
         stamp = f"{VERSION} {sorted(keys.items())}"
         kept = drawn.get(group, {})
         if kept.get("stamp") == stamp and all((out / name).is_file() for name in kept["files"]):
@@ -59,13 +63,20 @@ def _read_index(out: Path) -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _groups(run: Run) -> Iterator[tuple[str, Any, tuple[str, ...], Callable[..., Iterator[tuple[str, Any]]]]]:
-    """Groups of pictures: name, sequence, the artifacts they show, and what draws them."""
+Group = tuple[str, str | None, list[tuple[str, str | None]], Callable[..., Iterator[tuple[str, Any]]]]
+
+
+def _groups(run: Run) -> Iterator[Group]:
+    """Groups of pictures: name, sequence, the (artifact, unit) files they show, and what draws them."""
     for sequence in run.sequences[:SEQUENCES]:
-        yield sequence, sequence, ("frames", "hands", "masks", "clouds", "tracks"), _sequence_pictures
-    yield "model", None, ("model",), _model_pictures
-    yield "metrics", None, ("metrics",), _metrics_pictures
-    yield "plan", None, ("plan",), _plan_pictures
+        names = ("frames", "hands", "masks", "clouds", "tracks")
+        yield sequence, sequence, [(name, sequence) for name in names], _sequence_pictures
+    yield "model", None, [("model", None)], _model_pictures
+    yield "metrics", None, [("metrics", None)], _metrics_pictures
+    yield "plan", None, [("plan", None)], _plan_pictures
+    trials = STAGES["trials"]
+    if trials in run.recipe.chain():
+        yield "trials", None, [("trials", unit) for unit in run.units(trials)], _trial_pictures
 
 
 def _model_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
@@ -87,6 +98,17 @@ def _plan_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
     if plan is not None:
         for episode in np.unique(plan["episode"])[:3]:
             yield f"plan_{episode}.png", _plan_picture(plan, int(episode))
+
+
+def _trial_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
+    params = run.recipe.params(STAGES["trials"])
+    assert isinstance(params, TrialsParams)
+    trials, limits = read_trials(run), params.thresholds
+    if trials:
+        compared = compare_trials(trials, limits)
+        yield "trials.png", trial_figures.box_figure(trials, compared, min(limits), params.strokes)
+        yield "trials_success.png", trial_figures.success_figure(trials, limits, params.strokes)
+        yield "trials_distance.png", trial_figures.distance_figure(trials, params.strokes)
 
 
 def _sequence_pictures(run: Run, sequence: str) -> Iterator[tuple[str, Any]]:

@@ -61,7 +61,7 @@ def read_trials(run: Run) -> list[Trial]:
     for name in run.units(stage):
         if run.state(stage, name) != "fresh":
             continue
-        artifact = read_artifact(run.path(stage.writes, name), stage.writes)
+        artifact = read_artifact(run.path(stage.writes, name), stage.writes, ("pd", "cd", "seconds"))
         trials.append(Trial(*split_name(str(name)), artifact["pd"], artifact["cd"], artifact["seconds"]))
     return trials
 

@@ -4,7 +4,7 @@ import contextlib
 import datetime
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,14 +131,14 @@ def _write_dataset(file: h5py.File, dataset: str, value: np.ndarray, field: Fiel
     handle.attrs["units"], handle.attrs["axes"] = field.units, field.axes
 
 
-def read_artifact(path: Path, name: str) -> Artifact:
-    """Read and check a whole artifact. Raises `DataError` naming file and dataset when something is off."""
+def read_artifact(path: Path, name: str, only: Collection[str] | None = None) -> Artifact:
+    """Read and check an artifact, or `only` some datasets. Raises `DataError` naming file and dataset when something is off."""
     with _open(path, name) as file:
         attributes = _attributes(file, path, name)
         arrays: dict[str, np.ndarray] = {}
 
         def take(dataset: str, item: h5py.Dataset | h5py.Group) -> None:
-            if isinstance(item, h5py.Dataset):
+            if isinstance(item, h5py.Dataset) and (only is None or dataset in only):
                 if item.dtype.hasobject:
                     raise DataError(
                         f"dataset {dataset} has a type that is not allowed", str(path), _remake(path, attributes)
@@ -151,7 +151,7 @@ def read_artifact(path: Path, name: str) -> Artifact:
                     ) from None
 
         file.visititems(take)
-    check_arrays(path, name, arrays, _remake(path, attributes))
+    check_arrays(path, name, arrays, _remake(path, attributes), only)
     try:
         params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
     except ValueError:
@@ -224,9 +224,11 @@ def _remake(path: Path, attributes: Mapping[str, str]) -> str:
     return f"make it again: `piegraph {attributes['stage']} --force`"
 
 
-def check_arrays(path: Path, name: str, arrays: Mapping[str, np.ndarray], hint: str = "") -> None:
-    """Check names, types, axes and finiteness of an artifact's arrays against the schema."""
-    missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays]
+def check_arrays(
+    path: Path, name: str, arrays: Mapping[str, np.ndarray], hint: str = "", only: Collection[str] | None = None
+) -> None:
+    """Check names, types, axes and finiteness of an artifact's arrays (all, or `only` some) against the schema."""
+    missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays and (only is None or d in only)]
     if missing:
         raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
     lengths = dict(FIXED_AXES)

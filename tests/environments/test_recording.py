@@ -182,12 +182,29 @@ def test_a_deforming_surface_is_rendered_and_written_frame_by_frame(hand, tmp_pa
     assert on.max() < 1e-6
 
 
-@pytest.mark.parametrize("name", ["tblock"])
-def test_particles_lie_on_the_surface_that_is_rendered(name):
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [("tblock", 0), ("rope-stiff", 0.008), ("rope-bendy", 0.008), ("tshirt", 0.003), ("cloth", 0.003)],
+)
+def test_particles_lie_in_the_surface_that_is_rendered(name, depth):
+    """At most `depth` (m) below it: on its skin, or in the middle of a rope and, but for its rim, a sheet."""
     env = environments.make(name)
     env.reset(seed=2)
-    _, _, _, _, info = env.step(env.sample_stroke(np.random.default_rng(2)))
-    for shape in info["shapes"][:: len(info["shapes"]) - 1]:
+    shapes = env.step(env.sample_stroke(np.random.default_rng(2)))[4]["shapes"]
+    for shape in (shapes[0], shapes[-1]):
         vertices = env.surface(shape)
-        assert surface_distance(env.particles(shape), vertices, env.triangles).max() < 1e-3
-        assert vertices[:, 2].min() > -2e-3
+        off = surface_distance(env.particles(shape), vertices, env.triangles)
+        assert off.max() < depth + 1.5e-3
+        assert np.median(off) == pytest.approx(depth, abs=1e-3)
+        assert vertices[:, 2].min() > -3e-3
+
+
+@pytest.mark.parametrize("name", ["tblock", "rope-bendy", "tshirt", "cloth"])
+def test_surfaces_are_closed_and_face_outwards(name):
+    env = environments.make(name)
+    env.reset(seed=0)
+    corners = env.surface().astype(float)[env.triangles]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    assert np.abs(areas.sum(0)).max() < 1e-6 * np.linalg.norm(areas, axis=1).sum() + 1e-9
+    volume = np.einsum("tc,tc->", corners[:, 0], areas) / 3
+    assert volume > 5e-5

@@ -30,7 +30,7 @@ class Moment:
     shape: np.ndarray
     """The object's configuration, as the environment's `surface` takes it."""
     tip: np.ndarray | None
-    """[3] the fingertips (the pusher's centre), metres; None while the hand is out of the scene."""
+    """[3] what pushes or what the fingertips hold, metres; None while the hand is out of the scene."""
     grip: Grip | None
     stroke: int
     """The stroke's number, -1 between strokes."""

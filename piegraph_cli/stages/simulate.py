@@ -1,6 +1,7 @@
 """Stage `simulate`: true particles of random strokes; and, outside the pipeline, rendered recordings of them."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from piegraph_cli.recording.layout import write_cameras, write_frame, write_time
 from piegraph_cli.workspace.artifact import read_key, write_artifact
 from piegraph_cli.workspace.execute import Context, Output
 
-RECORDING_VERSION = 1
+RECORDING_VERSION = 2
 JPEG_QUALITY = 82
 
 
@@ -86,7 +87,7 @@ def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bo
         for camera, color, depth in zip(cameras, frame.color, frame.depth, strict=True):
             write_frame(partial, camera, number, color, depth, JPEG_QUALITY)
         times.append(frame.stamps)
-        truth.append(frame)
+        truth.append(replace(frame, color=[], depth=[]))  # written already, and too large to keep
     for k, camera in enumerate(cameras):
         write_times(partial, camera, np.array(times)[:, k])
     write_artifact(

@@ -70,7 +70,9 @@ def read_pairs(data: Artifact, split: int, neighbors: int, device: str) -> Pairs
     stroke = data["pair_stroke"][chosen]
     begin, finish = data["strokes"][stroke].T
     hand, positions = data["end_effector"], data["positions"]
-    strokes = make_strokes(hand[first], hand[last], data["stroke_mode"][stroke], np.stack([first > begin, last < finish], 1))
+    strokes = make_strokes(
+        hand[first], hand[last], data["stroke_mode"][stroke], np.stack([first > begin, last < finish], 1)
+    )
     apart = np.linalg.norm(positions[data["strokes"][:, 0], :, :2] - hand[data["strokes"][:, 0], None], axis=-1)
     rest, owner = positions[data["sequence_start"]], data["stroke_sequence"][stroke]
     grasp = apart.argmin(-1)[stroke]

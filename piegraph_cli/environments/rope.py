@@ -63,6 +63,10 @@ class Rope(MujocoEnvironment):
     def _outline(self) -> tuple[np.ndarray, float]:
         return self._dense @ self.nodes[:, :2], self.options.radius
 
+    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+        # an end may move half as far again as the point that is pushed: the rope turns about a point beyond its middle
+        return super()._keeps_reach(start, start + 1.5 * (end - start), mode)
+
 
 def _mjcf(options: RopeOptions) -> str:
     mass = options.density * math.pi * options.radius**2 * options.length

@@ -293,7 +293,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
         description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
     )
     modes: Modes = Field((), description="kinds of strokes: push, pick (default: what model and environment both know)")
-    planner: Literal["cem", "mppi"] = Field("cem", description="cross-entropy method, or path integrals")
+    planner: Literal["cem", "mppi", "greedy"] = Field(
+        "cem", description="cross-entropy method, path integrals, or picking the worst particle without a model"
+    )
     horizon: int = Field(1, ge=1, description="strokes planned ahead")
     samples: int = Field(100, ge=4, description="candidates per iteration")
     cem_iterations: int = Field(5, ge=1, description="iterations of the planner")

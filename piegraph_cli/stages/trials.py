@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from piegraph_cli.dynamics.models import MODELS
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
 from piegraph_cli.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import STAGES
-from piegraph_cli.stages.closed_loop import play, step_arrays
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
 from piegraph_cli.workspace.execute import Context, Output
 from piegraph_cli.workspace.grid import split_name
@@ -21,6 +19,9 @@ from piegraph_cli.workspace.run import Run
 
 def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output:
     """Play one trial. Distances along it are kept: `pd` and `cd` [strokes + 1] (m), the first before any stroke."""
+    # torch takes seconds to import, which the summary does not need
+    from piegraph_cli.stages.closed_loop import play, step_arrays
+
     episode, last = play(_read_model(params), params.plan, start=params.seed, goal=params.goal)
     states = [*(step.before for step in episode.steps), last]
     arrays = step_arrays(episode.steps, len(last)) | {
@@ -40,7 +41,7 @@ def _quality(end: float, strokes: int, plan: PlanParams) -> str:
 
 
 def _read_model(params: TrialParams) -> Artifact | None:
-    if params.network is None or not MODELS[params.plan.model].network:
+    if params.network is None:
         return None
     key = read_key(params.network, "model")
     if key is None and not params.network.exists():

@@ -122,7 +122,10 @@ def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
     failed = {o.sequence: o.error for o in outcomes if o.error}
     _log_outcomes(outcomes)
     if todo:
-        run.record_failures(stage, failed)
+        try:
+            run.record_failures(stage, failed)
+        except DataError as full:  # a full disk: the outcomes still count
+            log.error("%s", full)
     for unit, why in left_out.items():
         error = DataError(f"{LEFT_OUT}: {why.splitlines()[0]}", str(unit))
         outcomes.append(Outcome(stage.name, unit, "failed", 0.0, error=error))

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from piegraph_cli.environments.base import FRAME_RATE, TIP_HEIGHT, Environment, Motion, check_state, stroke_frames
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
 
 _PUSHER_HALF_LENGTH = 0.08
 """Metres: through the table and above every object, so that nothing meets its round ends."""
@@ -84,7 +84,12 @@ class MujocoEnvironment(Environment):
 
     def __init__(self, particles: int, mjcf: str):
         super().__init__(particles)
-        self.model = mujoco.MjModel.from_xml_string(mjcf)
+        try:
+            self.model = mujoco.MjModel.from_xml_string(mjcf)
+        except ValueError as error:
+            raise UsageError(
+                f"MuJoCo refuses these options: {error}", type(self).__name__, "values closer to the defaults"
+            ) from None
         self.data = mujoco.MjData(self.model)
         self._before = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         self._steps_per_frame = round(1 / (FRAME_RATE * self.model.opt.timestep))
@@ -111,7 +116,7 @@ class MujocoEnvironment(Environment):
         return (self.weights @ (self.nodes if shapes is None else shapes)).astype(np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
-        """Lay the object down near the origin at random, or at `options["pose"]` (x, y in m, yaw in rad).
+        """Lay the object down near the origin at random, or at `options["pose"]` (x, y in m, yaw in rad), until it rests.
 
         Raises DataError when it does not come to rest sanely.
         """

@@ -29,6 +29,8 @@ _LOWER_TIME = 0.2
 _CARRY_SPEED = 0.35
 """Fastest, metres a second."""
 _SHORTEST_CARRY = 0.3
+_DRAGGED = 0.15
+"""What lies this near the grasp comes along with it, metres."""
 _GOAL_SHIFT = 0.15
 _GOAL_TURN = math.radians(70)
 _GOAL_PICKS = 2
@@ -95,6 +97,13 @@ class Cloth(MujocoEnvironment):
         finally:
             self.set_state(before)
         return goal
+
+    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+        if mode == PUSH:
+            return super()._keeps_reach(start, end, mode)
+        nodes = self.nodes[:, :2]
+        dragged = nodes[np.linalg.norm(nodes - start, axis=1) < _DRAGGED]
+        return bool((np.abs(dragged + (end - start)) <= REACH).all())
 
     def _pick(self, start: np.ndarray, end: np.ndarray) -> Motion:
         before = self.nodes

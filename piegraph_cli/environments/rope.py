@@ -27,7 +27,7 @@ class Rope(MujocoEnvironment):
     """
 
     stroke_lengths = (0.08, 0.26)
-    color = (0.03, 0.30, 0.09)
+    color = (0.10, 0.05, 0.45)
 
     def __init__(self, particles: int = 50, options: RopeOptions = RopeOptions()):
         self.options = options

@@ -14,9 +14,13 @@ _FOREARM, _CUFF = 0.26, 0.012
 _SIDES = 24
 # rings of the arm, metres: distance from the wrist, then from the elbow; half width; half thickness
 _ALONG = np.array([-0.006, 0.010, 0.025, 0.06, 0.10, 0.14, 0.1405, 0.18, 0.22, 0.25])
-_ABOVE = np.array([0.02, 0.06, 0.15, 0.30])
-_WIDE = np.array([0.020, 0.0262, 0.0268, 0.029, 0.034, 0.037, 0.043, 0.044, 0.045, 0.044, 0.045, 0.047, 0.051, 0.055])
-_THICK = np.array([0.014, 0.0188, 0.0195, 0.023, 0.030, 0.034, 0.040, 0.043, 0.045, 0.046, 0.046, 0.047, 0.051, 0.055])
+_ABOVE = np.array([0.02, 0.06, 0.15, 0.30, 0.60])
+_WIDE = np.array(
+    [0.020, 0.0262, 0.0268, 0.029, 0.034, 0.037, 0.043, 0.044, 0.045, 0.044, 0.045, 0.047, 0.051, 0.055, 0.055]
+)
+_THICK = np.array(
+    [0.014, 0.0188, 0.0195, 0.023, 0.030, 0.034, 0.040, 0.043, 0.045, 0.046, 0.046, 0.047, 0.051, 0.055, 0.055]
+)
 _SLEEVE_FROM = 6
 _PAD = 0.008
 """How far below the middle of pinching fingertips they hold something, metres."""

@@ -157,6 +157,15 @@ def test_fingertips_are_where_the_pusher_is(hand):
         assert arm.forearm[0][:, 1].min() < -0.3
 
 
+def test_no_camera_sees_where_the_arm_ends(hand):
+    for tip in ([0.3, 0.3, 0.02], [-0.3, 0.3, 0.02], [0.0, 0.0, 0.1], [0.3, -0.3, 0.02], [-0.3, -0.3, 0.02]):
+        end = arm_at(hand, Grip(math.pi / 2, 0.0), np.array(tip)).forearm[0][-24:]
+        for camera in camera_rig():
+            ahead = (end - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3]
+            in_view = (ahead[:, 2] > 0) & (np.abs(ahead[:, :2]) < ahead[:, 2:] * [0.9, 0.7]).all(1)
+            assert not in_view.any()
+
+
 def test_a_pinch_meets_below_the_tips_and_closes_steadily(hand):
     tip = np.array([0.1, -0.05, 0.005])
     for pinch in (0.0, 0.5, 1.0):

@@ -1,0 +1,366 @@
+"""The square cloth and the T-shirt: determinism, states, grasps, contact, what cloth does, goals, options, meshes."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the `sim` extra is not installed: pip install 'piegraph[sim]'")
+
+from gymnasium.spaces import Box, Dict
+from gymnasium.utils.env_checker import check_env
+from scipy.interpolate import LinearNDInterpolator
+
+from piegraph_cli import environments
+from piegraph_cli.environments.base import PICK, PUSH, PUSHER_RADIUS, REACH
+from piegraph_cli.environments.cloth_mesh import square_outline, triangulate, tshirt_outline
+from piegraph_cli.environments.recording import simulate_tracks
+from piegraph_cli.errors import DataError
+
+FLAT = {"pose": [0.0, 0.0, 0.0]}
+GRAVITY = 9.81
+GRASP_RADIUS = 0.016
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Each environment once; tests start with a reset."""
+    return {name: environments.make(name) for name in ("tshirt", "cloth")}
+
+
+@pytest.fixture
+def tshirt(made):
+    made["tshirt"].reset(seed=3)
+    return made["tshirt"]
+
+
+@pytest.fixture
+def square(made):
+    made["cloth"].reset(options=FLAT)
+    return made["cloth"]
+
+
+def carry(env, start, by):
+    """Pick at start [2] and let go `by` [2] (m) further: the stroke's info."""
+    return env.step({"start": start, "end": np.add(start, by), "mode": PICK})[4]
+
+
+def put(env, nodes, velocity=(0.0, 0.0, 0.0)):
+    """Set the nodes [V, 3] (m), all at one velocity (m/s)."""
+    env.data.qpos[env._qpos] = nodes - env._rest
+    env.data.qvel[env._qvel] = velocity
+
+
+def edges(triangles):
+    return np.unique(np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1), axis=0)
+
+
+def stretch(env, nodes):
+    """Relative change of every edge's length at nodes [..., V, 3] since the cloth was cut out."""
+    first, second = edges(env.mesh.triangles).T
+    rest = np.linalg.norm(env.mesh.points[first] - env.mesh.points[second], axis=-1)
+    return np.linalg.norm(nodes[..., first, :] - nodes[..., second, :], axis=-1) / rest - 1
+
+
+def masses(env):
+    return env.model.body_mass[env.model.flex_vertbodyid]
+
+
+def test_passes_gymnasiums_checker(tshirt, monkeypatch):
+    # strokes across the whole table would take a minute: some near the cloth do
+    near = Box(-0.1, 0.1, (2,), np.float64)
+    assert set(tshirt.action_space) == {"start", "end", "mode"}
+    monkeypatch.setattr(tshirt, "action_space", Dict({**tshirt.action_space, "start": near, "end": near}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(tshirt)
+
+
+def test_same_seed_same_bits(made):
+    first, second = (simulate_tracks(env, seed=11, strokes=1) for env in (made["tshirt"], environments.make("tshirt")))
+    assert all(np.array_equal(first[key], second[key]) for key in first)
+    assert not np.array_equal(first["positions"][0], simulate_tracks(made["tshirt"], 12, 1)["positions"][0])
+
+
+@pytest.mark.parametrize("mode", [PICK, PUSH])
+def test_state_returns_bit_for_bit(tshirt, mode):
+    rng = np.random.default_rng(0)
+    tshirt.step(tshirt.sample_stroke(rng))
+    state, stroke = tshirt.get_state(), tshirt.sample_stroke(rng, mode)
+    first = tshirt.step(stroke)
+    tshirt.step(tshirt.sample_stroke(rng, PICK))
+    tshirt.set_state(state)
+    assert np.array_equal(tshirt.get_state()["integration"], state["integration"])
+    second = tshirt.step(stroke)
+    assert np.array_equal(first[0], second[0])
+    assert all(np.array_equal(first[4][key], second[4][key]) for key in first[4])
+
+
+def test_golden_trajectory(tshirt):
+    pose = {"pose": [0.02, -0.01, 0.5]}
+    tshirt.reset(options=pose)
+    picked = tshirt.step({"start": [0.1, 0.08], "end": [0.02, 0.02], "mode": PICK})[4]["frames"]
+    tshirt.reset(options=pose)
+    pushed = tshirt.step({"start": [0.12, -0.19], "end": [0.07, -0.08], "mode": PUSH})[4]["frames"]
+    # later on, cloth amplifies the last bit of its pose to millimetres
+    np.testing.assert_allclose(
+        [picked[1, 31], picked[1, 9], pushed[4, 7]],
+        [[0.109229, 0.081235, 0.022202], [0.090596, 0.053325, 0.023778], [0.099260, -0.132921, 0.003285]],
+        atol=2e-5,
+    )
+    np.testing.assert_allclose(
+        [picked[-1].mean(0), pushed[-1].mean(0)],
+        [[0.01322, -0.01508, 0.00579], [0.01235, 0.00339, 0.00452]],
+        atol=1.5e-3,
+    )
+
+
+@pytest.mark.parametrize("name", ["tshirt", "cloth"])
+def test_a_picked_cloth_rests_unstretched_on_the_table(made, name):
+    env, rng = made[name], np.random.default_rng(1)
+    env.reset(seed=1)
+    for _ in range(2):
+        shapes = env.step(env.sample_stroke(rng))[4]["shapes"]
+        deviation = np.abs(stretch(env, shapes[-1]))
+        # a few edges in sharp folds are further off
+        assert np.percentile(deviation, 95) < 0.05
+        assert deviation.mean() < 0.015
+        assert shapes[..., 2].min() > -1e-3
+    before = env.nodes
+    env._advance(0.5)
+    assert np.linalg.norm(env.nodes - before, axis=1).mean() < 1e-3
+
+
+def test_a_picked_part_ends_near_the_strokes_end(tshirt):
+    rng = np.random.default_rng(2)
+    for seed in range(2):
+        tshirt.reset(seed=seed)
+        stroke = tshirt.sample_stroke(rng)
+        assert stroke["mode"] == PICK
+        info = tshirt.step(stroke)[4]
+        held = np.linalg.norm(info["shapes"][0][:, :2] - stroke["start"], axis=1) < GRASP_RADIUS
+        assert info["grasped"]
+        assert held.any()
+        ends = info["shapes"][-2:, held, :2].mean(1)
+        at_release, at_rest = np.linalg.norm(ends - stroke["end"], axis=1)
+        assert at_release < 0.012
+        assert at_rest < 0.03
+        assert info["shapes"][len(info["shapes"]) // 2, held, 2].min() > 0.03
+
+
+def test_a_pick_beside_the_cloth_moves_nothing(tshirt):
+    before, state = tshirt.nodes, tshirt.get_state()["integration"]
+    info = carry(tshirt, tshirt.nodes[:, :2].max(0) + GRASP_RADIUS, [0.1, 0.0])
+    assert not info["grasped"]
+    assert np.array_equal(info["shapes"], np.broadcast_to(before, info["shapes"].shape))
+    assert np.array_equal(tshirt.get_state()["integration"], state)
+    assert np.ptp(info["pusher"][:, 2]) == pytest.approx(0.05)
+
+
+def test_a_push_moves_cloth_and_stays_outside_it(tshirt, monkeypatch):
+    at_end = []
+    settle = tshirt._settle
+    monkeypatch.setattr(tshirt, "_settle", lambda: (at_end.append(tshirt.nodes), settle()))
+    rng = np.random.default_rng(3)
+    for seed in range(2):
+        tshirt.reset(seed=seed)
+        stroke = tshirt.sample_stroke(rng, PUSH)
+        info = tshirt.step(stroke)[4]
+        # the last frame is taken after the pusher has left: what it left is in `at_end`
+        shapes = np.concatenate([info["shapes"][:-1], at_end[-1:]])
+        gaps = np.linalg.norm(shapes[..., :2] - info["pusher"][:, None, :2], axis=-1)
+        assert gaps.min() > PUSHER_RADIUS
+        assert not info["blocked"]
+        assert np.linalg.norm(info["frames"][-1] - info["frames"][0], axis=1).max() > 0.01
+        assert info["shapes"][..., 2].min() > -1e-3
+
+
+def test_folded_layers_stay_apart(square):
+    flat, corner = square.nodes, square.nodes[square.mesh.corners[0], :2]
+    by = np.array([0.16, 0.2])
+    shape = carry(square, corner, by)["shapes"][-1]
+    # signed distance to the fold, whose line is half way: the sheet bends within 2 cm of it
+    side = (flat[:, :2] - corner - by / 2) @ by / np.linalg.norm(by)
+    upper, lower = shape[side < -0.02], shape[side > 0]
+    gap = upper[:, 2] - LinearNDInterpolator(lower[:, :2], lower[:, 2])(upper[:, :2])
+    above = np.isfinite(gap)
+    assert above.sum() > 40
+    assert gap[above].min() > 0.004
+    assert np.median(gap[above]) < 0.008
+
+
+def test_energy_does_not_grow_after_release(square):
+    held = carry(square, square.nodes[square.mesh.corners[0], :2], [0.16, 0.2])["shapes"][4]
+    put(square, held)
+    energy = []
+    for _ in range(100):
+        speed = np.linalg.norm(square.data.qvel[square._qvel], axis=1)
+        energy.append((masses(square) * (speed**2 / 2 + GRAVITY * square.nodes[:, 2])).sum())
+        square._step()
+    lost = energy[0] - energy[-1]
+    assert lost > 1e-4
+    # the bent sheet's own energy is not counted: it gives a little back
+    assert (energy - np.minimum.accumulate(energy)).max() < 0.04 * lost
+    assert speed.max() < 0.01
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+def test_friction_stops_a_sliding_cloth(friction):
+    env = environments.make("cloth", options={"friction": friction})
+    env.reset(options=FLAT)
+    before = env.nodes
+    put(env, before, (0.4, 0.0, 0.0))
+    env._advance(0.5)
+    assert np.linalg.norm(env.data.qvel[env._qvel], axis=1).max() < 1e-3
+    slid = (env.nodes - before).mean(0)
+    assert slid[0] == pytest.approx(0.4**2 / (2 * friction * GRAVITY), rel=0.15)
+    assert abs(slid[1]) < 1e-4
+
+
+def test_a_stiffer_cloth_is_lifted_in_a_larger_part():
+    lifted = []
+    for young in (3e3, 3e4, 3e5):
+        env = environments.make("cloth", options={"young": young})
+        env.reset(options=FLAT)
+        shapes = carry(env, env.nodes[env.mesh.corners[0], :2], [0.03, 0.03])["shapes"]
+        lifted.append(int((shapes[2, :, 2] > 0.006).sum()))
+    assert lifted[0] + 5 < lifted[1] < lifted[2] - 5
+
+
+def test_size_and_density_are_those_asked_for():
+    env = environments.make("tshirt", options={"size": 0.2, "density": 0.4})
+    assert np.ptp(env.mesh.points, axis=0) == pytest.approx([0.2, 0.2], abs=1e-6)
+    assert masses(env).sum() == pytest.approx(0.4 * env.mesh.areas.sum())
+
+
+def test_states_of_nothing_are_refused(tshirt):
+    state = tshirt.get_state()["integration"]
+    broken = state.copy()
+    broken[7] = np.nan
+    for wrong in (broken, state[:-1]):
+        with pytest.raises(DataError, match="state"):
+            tshirt.set_state({"integration": wrong})
+    assert np.array_equal(tshirt.get_state()["integration"], state)
+
+
+def test_a_diverged_pick_leaves_the_state_before_it(tshirt, monkeypatch):
+    state, stroke = tshirt.get_state()["integration"], tshirt.sample_stroke(np.random.default_rng(0))
+    steer = tshirt._steer_gripper
+    with monkeypatch.context() as context:
+        context.setattr(tshirt, "_steer_gripper", lambda position: steer(position * 1e12))
+        with pytest.raises(DataError, match="diverged in a pick"):
+            tshirt.step(stroke)
+    assert np.array_equal(tshirt.get_state()["integration"], state)
+    assert tshirt.step(stroke)[4]["grasped"]
+
+
+def test_goals_are_the_flat_cloth_moved_and_turned(tshirt):
+    tshirt.reset(options={"pose": [0.03, -0.02, 1.0]})
+    state, rng = tshirt.get_state()["integration"], np.random.default_rng(4)
+    now = tshirt.particles()
+    flat = now[:, :2] - now[:, :2].mean(0)
+    shifts, turns = [], []
+    for _ in range(200):
+        goal = tshirt.goal(rng)
+        assert goal.shape == (50, 3)
+        assert np.abs(goal[:, :2]).max() <= REACH
+        np.testing.assert_allclose(goal[:, 2], now[:, 2], atol=1e-3)
+        moved = goal[:, :2] - goal[:, :2].mean(0)
+        turn = math.atan2((flat[:, 0] * moved[:, 1] - flat[:, 1] * moved[:, 0]).sum(), (flat * moved).sum())
+        turned = flat @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        np.testing.assert_allclose(moved, turned, atol=1e-3)
+        shifts.append(np.linalg.norm((goal - now)[:, :2].mean(0)))
+        turns.append(abs(turn))
+    # the particles' mean is up to 1 cm off the point about which the cloth turns
+    assert 0.12 < max(shifts) < 0.16
+    assert math.radians(63) < max(turns) < math.radians(70.1)
+    assert np.array_equal(tshirt.get_state()["integration"], state)
+
+
+def test_crumpled_goals_leave_the_cloth_alone():
+    env = environments.make("tshirt", options={"goal": "crumpled"})
+    env.reset(seed=5)
+    state, now = env.get_state()["integration"], env.particles()
+    first, second = (env.goal(np.random.default_rng(seed)) for seed in (0, 1))
+    assert np.array_equal(env.get_state()["integration"], state)
+    assert np.array_equal(env.particles(), now)
+    for one, other in ((first, now), (second, now), (first, second)):
+        assert np.linalg.norm(one - other, axis=1).mean() > 0.02
+    assert first[:, 2].max() > 0.008
+    rng = np.random.default_rng(0)
+    by_hand = [env.step(env.sample_stroke(rng))[0] for _ in range(2)]
+    assert np.array_equal(first, by_hand[-1])
+
+
+@pytest.mark.parametrize("name", ["tshirt", "cloth"])
+def test_particles_are_material_points(made, name):
+    env = made[name]
+    env.reset(seed=6)
+    weights = env.weights.copy()
+    info = env.step(env.sample_stroke(np.random.default_rng(6)))[4]
+    assert np.array_equal(info["frames"], (weights @ info["shapes"]).astype(np.float32))
+    assert np.array_equal(env.particles(), info["frames"][-1])
+    np.testing.assert_allclose(weights.sum(1), 1)
+    assert (weights >= 0).all()
+    used = [frozenset(np.flatnonzero(row)) for row in weights]
+    triangles = [frozenset(triangle) for triangle in env.mesh.triangles.tolist()]
+    assert all(any(points <= triangle for triangle in triangles) for points in used)
+    flat = weights @ env.mesh.points
+    apart = np.linalg.norm(flat[:, None] - flat, axis=-1) + np.eye(len(flat))
+    assert apart.min() > 0.02
+    # every part of the cloth has a particle near it
+    assert np.linalg.norm(env.mesh.points[:, None] - flat, axis=-1).min(1).max() < 0.045
+
+
+@pytest.mark.parametrize("name", ["tshirt", "cloth"])
+def test_the_surface_is_closed_and_faces_outwards(made, name):
+    import trimesh
+
+    env = made[name]
+    env.reset(seed=7)
+    sheet = env.mesh.areas.sum() * 0.006
+    assert trimesh.Trimesh(env.surface(), env.triangles, process=False).volume == pytest.approx(sheet, rel=0.01)
+    shapes = env.step(env.sample_stroke(np.random.default_rng(7)))[4]["shapes"]
+    crumpled = trimesh.Trimesh(env.surface(shapes)[-1], env.triangles, process=False)
+    assert crumpled.is_watertight
+    assert crumpled.is_winding_consistent
+    assert crumpled.volume == pytest.approx(sheet, rel=0.25)
+
+
+def turning(points):
+    """Angle [K] (degrees) by which a closed polygon [K, 2] turns left at each point."""
+    step = np.roll(points, -1, axis=0) - points
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    return np.degrees((heading - np.roll(heading, 1) + math.pi) % (2 * math.pi) - math.pi)
+
+
+@pytest.mark.parametrize(
+    ("curves", "size", "corners", "bend"), [(tshirt_outline, 0.3, 8, 50), (square_outline, 0.3, 4, 1e-6)]
+)
+def test_the_outline_turns_at_its_corners_only(curves, size, corners, bend):
+    mesh = triangulate(curves(), size, 0.0145)
+    turns = turning(mesh.points[: mesh.rim])
+    assert turns.sum() == pytest.approx(360)
+    assert len(mesh.corners) == corners
+    assert turns[list(mesh.corners)].min() > 70
+    between = turns.copy()
+    between[list(mesh.corners)] = 0
+    assert np.abs(between).max() < bend
+    # steps of stairs turn to and fro; a smooth curve turns one way for a while
+    other_way = between[:-1] * between[1:] < 0
+    assert np.minimum(np.abs(between[:-1]), np.abs(between[1:]))[other_way].max(initial=0) < 1
+
+
+@pytest.mark.parametrize("curves", [tshirt_outline, square_outline])
+def test_triangles_are_even_and_fill_the_outline(curves):
+    mesh = triangulate(curves(), 0.3, 0.0145)
+    x, y = mesh.points[: mesh.rim].T
+    assert mesh.areas.sum() == pytest.approx((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
+    first, second = edges(mesh.triangles).T
+    lengths = np.linalg.norm(mesh.points[first] - mesh.points[second], axis=1)
+    assert lengths.min() / 0.0145 > 0.5
+    assert lengths.max() / 0.0145 < 1.6
+    corners = mesh.points[mesh.triangles]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    assert (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0).all()

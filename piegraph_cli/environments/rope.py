@@ -75,10 +75,12 @@ def _mjcf(options: RopeOptions) -> str:
     line = np.concatenate([np.zeros((1, 2)), np.cumsum(edges, axis=0)])
     points = np.column_stack([line - line.mean(0), np.full(_NODES, options.radius)])
     elements = np.column_stack([np.arange(_NODES - 1), np.arange(1, _NODES)])
+    # capsules two edges apart must not touch in a straight rope
+    selfcollide = "auto" if options.length / (_NODES - 1) > 2 * options.radius else "none"
     rope = f"""<flexcomp name="rope" type="direct" dim="1" radius="{options.radius}" mass="{mass}"
       point="{_text(points)}" element="{_text(elements)}">
       <edge equality="true" solref="0.005 1"/>
-      <contact friction="{options.friction}" selfcollide="auto"/>
+      <contact friction="{options.friction}" selfcollide="{selfcollide}"/>
       <elasticity young="{options.young}" poisson="{_POISSON}" damping="{_DAMPING}"/>
     </flexcomp>"""
     return scene(rope, options.friction, iterations=20, impratio=_IMPRATIO)

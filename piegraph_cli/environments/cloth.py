@@ -114,11 +114,12 @@ class Cloth(MujocoEnvironment):
         pusher = np.concatenate([grip[None], path[self._steps_per_frame - 1 :: self._steps_per_frame], path[-1:]])
         if not len(held):
             return Motion(np.repeat(before[None], len(pusher), axis=0), pusher)
+        shapes = [before]
         with self._watch() as sane:
             self._steer_gripper(grip)
             self.model.eq_data[held, 3:6] = before[held] - grip
             self.data.eq_active[held] = True
-            shapes = [before, *self._follow(path, self._steer_gripper)]
+            shapes += self._follow(path, self._steer_gripper)
             self.data.eq_active[held] = False
             self._settle()
         shapes.append(self.nodes)

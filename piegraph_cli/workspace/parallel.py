@@ -1,7 +1,9 @@
 """One function over many items: one after the other, in processes of this machine (joblib), or on a Ray cluster."""
 
+import contextlib
 import logging
 import os
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -27,7 +29,7 @@ def each(
     `jobs` processes work at a time on this machine; on a cluster, one per core of it. `work` handles its own errors.
     """
     if backend == "ray":
-        yield from _on_ray(work, items, jobs, lost)
+        yield from _on_ray(work, items, lost)
     elif jobs == 1:
         yield from map(work, items)
     else:
@@ -54,10 +56,9 @@ def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], jobs: i
 
 
 def _on_ray(
-    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, lost: Callable[[Item, PiegraphError], Result]
+    work: Callable[[Item], Result], items: Sequence[Item], lost: Callable[[Item, PiegraphError], Result]
 ) -> Iterator[Result]:
-    ray = _connect(jobs)
-    try:
+    with contextlib.redirect_stdout(sys.stderr), _cluster() as ray:  # Ray tells of dead nodes on stdout
         task = ray.remote(num_cpus=1, max_retries=RETRIES)(_call).options(name="piegraph")
         waiting = {task.remote(work, item): item for item in items}
         while waiting:
@@ -69,26 +70,27 @@ def _on_ray(
                 reason = str(error).splitlines()[0]
                 hint = "look at the memory of the cluster's nodes; what is done is kept"
                 yield lost(item, MissingError(f"lost {RETRIES + 1} times: {reason}", hint=hint))
-    finally:
-        ray.shutdown()
 
 
 def _call(work: Callable[[Item], Result], item: Item) -> Result:
     return work(item)
 
 
-def _connect(jobs: int) -> Any:
-    """Ray, connected to the cluster at RAY_ADDRESS or on this machine, or else started with `jobs` cores."""
+@contextlib.contextmanager
+def _cluster() -> Iterator[Any]:
+    """Ray, connected to the cluster at RAY_ADDRESS or the one that runs on this machine."""
     try:
         import ray
     except ImportError:
         raise MissingError("ray is not installed", hint="pip install 'piegraph[cluster]'") from None
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    os.environ.setdefault("RAY_gcs_server_port_wait_time_s", "1")  # one try, of 40 s: by default it tries for minutes
     try:
-        ray.init(address="auto", **quiet)
-    except ConnectionError as error:
-        if address := os.environ.get("RAY_ADDRESS"):
-            raise MissingError(f"no Ray cluster answers: {error}", address, "correct or unset RAY_ADDRESS") from None
-        ray.init(address="local", num_cpus=jobs, include_dashboard=False, **quiet)
-    return ray
+        ray.init(address="auto", log_to_driver=False, logging_level=logging.ERROR)
+    except ConnectionError:
+        where = os.environ.get("RAY_ADDRESS", "")
+        hint = "ray start --head, or RAY_ADDRESS=HOST:PORT; one machine alone needs no --backend"
+        raise MissingError("no Ray cluster answers", where, hint) from None
+    try:
+        yield ray
+    finally:
+        ray.shutdown()

@@ -1,0 +1,120 @@
+"""Trials on a Ray cluster of two nodes, one of which is killed while it works."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.artifact import read_artifact
+from piegraph_cli.workspace.execute import Options, run_stage
+from piegraph_cli.workspace.recipe import Recipe
+from tests.cli import piegraph
+
+SETTINGS = {"envs": ["tblock"], "models": ["piegraph"], "goals": 3, "seeds": 4, "strokes": 6}
+QUICK_TO_NOTICE = {
+    "health_check_initial_delay_ms": 0,
+    "health_check_period_ms": 500,
+    "health_check_failure_threshold": 4,
+}
+NODE = {"num_cpus": 1, "object_store_memory": 80 << 20, "node_ip_address": "127.0.0.1", "include_dashboard": False}
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """A cluster of two nodes of one core each, on 127.0.0.1 alone, which reports to nobody."""
+    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")  # short: paths of sockets have a limit
+    monkeypatch.setenv("RAY_TMPDIR", folder)
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # or 127.0.0.1 becomes the machine's address
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    from ray.cluster_utils import Cluster
+
+    found = Cluster(initialize_head=True, head_node_args=NODE | {"_system_config": QUICK_TO_NOTICE})
+    try:
+        found.add_node(**NODE)
+        monkeypatch.setenv("RAY_ADDRESS", found.address)
+        yield found
+    finally:
+        raylets = [process_of(node) for node in (found.head_node, *found.worker_nodes)]
+        found.shutdown()
+        shutil.rmtree(folder, ignore_errors=True)
+        assert not any(Path(f"/proc/{raylet}").exists() for raylet in raylets)
+
+
+def process_of(node) -> int:
+    """The process id of a node's raylet."""
+    return node.all_processes["raylet"][0].process.pid
+
+
+def workers(raylet: int) -> list[int]:
+    """Processes of a raylet that are at work on a trial."""
+    listed = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(raylet)], capture_output=True, text=True).stdout
+    return [int(line.split()[0]) for line in listed.splitlines() if "ray::piegraph" in line]
+
+
+def wait_for(condition, seconds=60.0):
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+
+
+def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
+    runs = tmp_path / "runs"
+    (runs / "tblock").mkdir(parents=True)
+    for name in ("model.h5", "recipe.toml"):
+        shutil.copy(tiny_run / name, runs / "tblock" / name)
+    (node,) = cluster.worker_nodes
+    raylet, done = process_of(node), runs / "paper" / "trials"
+    options = [f"--{name}={','.join(value) if isinstance(value, list) else value}" for name, value in SETTINGS.items()]
+    command = [
+        sys.executable,
+        "-c",
+        "from piegraph_cli.app import main; main()",
+        "trials",
+        "--backend",
+        "ray",
+        "--json",
+    ]
+    process = subprocess.Popen(
+        [*command, "--run", runs / "paper", *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        wait_for(lambda: done.is_dir() and list(done.glob("*.h5")) and workers(raylet))
+        (worker,) = workers(raylet)
+        cluster.remove_node(node, allow_graceful=False)
+        before = len(list(done.glob("*.h5")))
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, err
+    assert before < 12, "the node was killed on the way"
+    wait_for(lambda: not Path(f"/proc/{worker}").exists())
+    names = sorted(path.name for path in done.iterdir())
+    assert names == [f"tblock.piegraph.goal0{g}.seed0{s}.h5" for g in range(3) for s in range(4)]
+    found = json.loads(out)
+    assert [row["trials"] for row in found["results"]] == [12], "each trial once in the results"
+    assert found["failed"] == []
+    alone = runs / "alone"
+    run_stage(alone, STAGES["trials"], Options(recipe=Recipe({"trials": SETTINGS})))
+    for name in names:
+        one, other = read_artifact(done / name, "trials"), read_artifact(alone / "trials" / name, "trials")
+        assert one.key == other.key
+        assert all(np.array_equal(one[d], other[d]) for d in set(one.arrays) - {"seconds"})
+
+
+def test_without_a_cluster_it_says_how_to_start_one(tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "RAY_ADDRESS"} | {"RAY_TMPDIR": str(tmp_path)}
+    arguments = ["--envs", "tblock", "--models", "static", "--backend", "ray"]
+    done = piegraph("trials", "--run", tmp_path / "paper", *arguments, check=4, env=environment)
+    assert "no Ray cluster answers" in done.stderr
+    assert "ray start --head" in done.stderr
+    assert "Traceback" not in done.stderr

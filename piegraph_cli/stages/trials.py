@@ -57,14 +57,16 @@ def _read_once(path: Path, key: str | None) -> Artifact:
 
 
 def read_trials(run: Run) -> list[Trial]:
-    """The trials of a run's grid that are fresh, with their distances."""
+    """The trials of a run's grid that are fresh, with their distances; environments and models in the grid's order."""
     stage, trials = STAGES["trials"], []
+    params = run.recipe.params(stage)
+    assert isinstance(params, TrialsParams)
     for name in run.units(stage):
         if run.state(stage, name) != "fresh":
             continue
         artifact = read_artifact(run.path(stage.writes, name), stage.writes, ("pd", "cd", "seconds"))
         trials.append(Trial(*split_name(str(name)), artifact["pd"], artifact["cd"], artifact["seconds"]))
-    return trials
+    return sorted(trials, key=lambda t: (params.envs.index(t.environment), params.models.index(t.model)))
 
 
 def describe(folder: Path) -> tuple[dict[str, Any], list[str]]:

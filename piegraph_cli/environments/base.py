@@ -141,11 +141,12 @@ class Environment(gymnasium.Env):
         mode = self.modes[0] if mode is None else mode
         for _ in range(_TRIES):
             start, end = self._random_push(rng) if mode == PUSH else self._random_pick(rng)
-            if self._keeps_reach(start, end, mode):
+            if np.isfinite(start).all() and self._keeps_reach(start, end, mode):
                 return {"start": start, "end": end, "mode": mode}
         raise DataError("no random stroke keeps the object in reach", type(self).__name__, "reset the environment")
 
     def _random_push(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Start and end [2] (m) of a push; infinite where its line falls into a gap of the silhouette."""
         points, radius = self._outline()
         heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*self.stroke_lengths)
         along = np.array([math.cos(heading), math.sin(heading)])

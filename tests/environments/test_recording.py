@@ -184,7 +184,7 @@ def test_a_deforming_surface_is_rendered_and_written_frame_by_frame(hand, tmp_pa
 
 @pytest.mark.parametrize(
     ("name", "depth"),
-    [("tblock", 0), ("rope-stiff", 0.008), ("rope-bendy", 0.008), ("tshirt", 0.003), ("cloth", 0.003)],
+    [("tblock", 0), ("rope-stiff", 0.008), ("rope-bendy", 0.008), ("tshirt", 0.003), ("cloth", 0.003), ("toy", 0)],
 )
 def test_particles_lie_in_the_surface_that_is_rendered(name, depth):
     """At most `depth` (m) below it: on its skin, or in the middle of a rope and, but for its rim, a sheet."""
@@ -199,7 +199,7 @@ def test_particles_lie_in_the_surface_that_is_rendered(name, depth):
         assert vertices[:, 2].min() > -3e-3
 
 
-@pytest.mark.parametrize("name", ["tblock", "rope-bendy", "tshirt", "cloth"])
+@pytest.mark.parametrize("name", ["tblock", "rope-bendy", "tshirt", "cloth", "toy"])
 def test_surfaces_are_closed_and_face_outwards(name):
     env = environments.make(name)
     env.reset(seed=0)

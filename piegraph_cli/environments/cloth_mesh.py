@@ -139,12 +139,9 @@ def _hexagons(rim: np.ndarray, edge: float) -> np.ndarray:
 
 
 def _fill(points: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """Delaunay triangles of the points whose middle is inside the rim, counter-clockwise, in a fixed order."""
+    """Delaunay triangles of the points whose middle is inside the rim, counter-clockwise as SciPy gives them."""
     triangles = Delaunay(points).simplices.astype(np.int64)
-    triangles = triangles[_inside(rim, points[triangles].mean(1))]
-    clockwise = _doubled_areas(points, triangles) < 0
-    triangles[clockwise] = triangles[clockwise, ::-1]
-    return triangles
+    return triangles[_inside(rim, points[triangles].mean(1))]
 
 
 def _middles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

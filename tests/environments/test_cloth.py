@@ -41,6 +41,16 @@ def square(made):
 
 
 @pytest.fixture(scope="module")
+def fold(made):
+    """A corner of the square laid over: flat nodes [V, 3], nodes per frame [F, V, 3], and where the corner went [2] (m)."""
+    env, by = made["cloth"], np.array([0.16, 0.2])
+    env.reset(options=FLAT)
+    flat = env.nodes
+    corner = flat[env.mesh.corners[0], :2]
+    return flat, env.step({"start": corner, "end": corner + by, "mode": PICK})[4]["shapes"], by
+
+
+@pytest.fixture(scope="module")
 def watched(made):
     """Per environment: two random picks from one reset and a push from another, each (stroke, info) with `released`.
 
@@ -91,7 +101,7 @@ def masses(env):
 
 def test_passes_gymnasiums_checker(tshirt, monkeypatch):
     # strokes across the whole table would take a minute: some near the cloth do
-    near = Box(-0.1, 0.1, (2,), np.float64)
+    near = Box(-0.05, 0.05, (2,), np.float64)
     assert set(tshirt.action_space) == {"start", "end", "mode"}
     monkeypatch.setattr(tshirt, "action_space", Dict({**tshirt.action_space, "start": near, "end": near}))
     with warnings.catch_warnings():
@@ -106,9 +116,7 @@ def test_same_seed_same_bits(made):
 
 
 def test_state_returns_bit_for_bit(tshirt):
-    rng = np.random.default_rng(0)
-    tshirt.step(tshirt.sample_stroke(rng))
-    state = tshirt.get_state()
+    rng, state = np.random.default_rng(0), tshirt.get_state()
     strokes = [tshirt.sample_stroke(rng, mode) for mode in (PICK, PUSH)]
     first = [tshirt.step(stroke) for stroke in strokes]
     tshirt.set_state(state)
@@ -187,10 +195,9 @@ def test_a_push_moves_cloth_and_stays_outside_it(watched, name):
     assert np.linalg.norm(info["frames"][-1] - info["frames"][0], axis=1).max() > 0.01
 
 
-def test_folded_layers_stay_apart(square):
-    flat, corner = square.nodes, square.nodes[square.mesh.corners[0], :2]
-    by = np.array([0.16, 0.2])
-    shape = carry(square, corner, by)["shapes"][-1]
+def test_folded_layers_stay_apart(square, fold):
+    flat, shapes, by = fold
+    shape, corner = shapes[-1], flat[square.mesh.corners[0], :2]
     # signed distance to the fold, whose line is half way: the sheet bends within 2 cm of it
     side = (flat[:, :2] - corner - by / 2) @ by / np.linalg.norm(by)
     upper, lower = shape[side < -0.02], shape[side > 0]
@@ -201,9 +208,8 @@ def test_folded_layers_stay_apart(square):
     assert np.median(gap[above]) < 0.008
 
 
-def test_energy_does_not_grow_after_release(square):
-    held = carry(square, square.nodes[square.mesh.corners[0], :2], [0.16, 0.2])["shapes"][4]
-    put(square, held)
+def test_energy_does_not_grow_after_release(square, fold):
+    put(square, fold[1][4])
     energy = []
     for _ in range(100):
         speed = np.linalg.norm(square.data.qvel[square._qvel], axis=1)
@@ -220,6 +226,7 @@ def test_energy_does_not_grow_after_release(square):
 def test_friction_stops_a_sliding_cloth(friction):
     env = environments.make("cloth", options={"friction": friction})
     env.reset(options=FLAT)
+    assert env.model.geom("pusher").friction[0] == friction
     before = env.nodes
     put(env, before, (0.4, 0.0, 0.0))
     env._advance(0.5)
@@ -231,12 +238,12 @@ def test_friction_stops_a_sliding_cloth(friction):
 
 def test_a_stiffer_cloth_is_lifted_in_a_larger_part():
     lifted = []
-    for young in (3e3, 3e4, 3e5):
+    for young in (3e3, 3e5):
         env = environments.make("cloth", options={"young": young})
         env.reset(options=FLAT)
         shapes = carry(env, env.nodes[env.mesh.corners[0], :2], [0.03, 0.03])["shapes"]
         lifted.append(int((shapes[2, :, 2] > 0.006).sum()))
-    assert lifted[0] + 5 < lifted[1] < lifted[2] - 5
+    assert lifted[0] + 10 < lifted[1]
 
 
 def test_size_and_density_are_those_asked_for():
@@ -287,18 +294,30 @@ def test_goals_are_the_flat_cloth_moved_and_turned(tshirt):
     assert np.array_equal(tshirt.get_state()["integration"], state)
 
 
-def test_crumpled_goals_leave_the_cloth_alone():
+def test_random_picks_and_goals_stay_in_reach(tshirt):
+    tshirt.reset(options={"pose": [0.15, -0.15, 2.0]})
+    nodes, rng = tshirt.nodes[:, :2], np.random.default_rng(8)
+    for _ in range(50):
+        stroke = tshirt.sample_stroke(rng)
+        along = np.linalg.norm(nodes - stroke["start"], axis=1) < 0.1
+        assert along.any()
+        assert np.abs(nodes[along] + stroke["end"] - stroke["start"]).max() <= REACH
+        assert np.abs(tshirt.goal(rng)[:, :2]).max() <= REACH
+
+
+def test_crumpled_goals_leave_the_cloth_alone(monkeypatch):
     env = environments.make("tshirt", options={"goal": "crumpled"})
     env.reset(seed=5)
     state, now = env.get_state()["integration"], env.particles()
+    step, picked = env.step, []
+    monkeypatch.setattr(env, "step", lambda stroke: picked.append((stroke["mode"], step(stroke))) or picked[-1][1])
     goal = env.goal(np.random.default_rng(0))
+    assert [mode for mode, _ in picked] == [PICK, PICK]
+    assert np.array_equal(goal, picked[-1][1][0])
     assert np.array_equal(env.get_state()["integration"], state)
     assert np.array_equal(env.particles(), now)
     assert np.linalg.norm(goal - now, axis=1).mean() > 0.02
     assert goal[:, 2].max() > 0.008
-    rng = np.random.default_rng(0)
-    picked = [env.step(env.sample_stroke(rng, PICK))[0] for _ in range(2)]
-    assert np.array_equal(goal, picked[-1])
 
 
 @pytest.mark.parametrize("name", ["tshirt", "cloth"])

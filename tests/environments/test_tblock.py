@@ -12,9 +12,9 @@ from block_distance import distance_to_block
 from gymnasium.utils.env_checker import check_env
 
 from piegraph_cli import environments
+from piegraph_cli.environments.base import CLEARANCE, PUSHER_RADIUS, REACH, STROKE_LENGTHS
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.environments.shapes import place, t_block
-from piegraph_cli.environments.base import CLEARANCE, PUSHER_RADIUS, REACH, STROKE_LENGTHS
 from piegraph_cli.errors import MissingError, UsageError
 
 
@@ -90,7 +90,9 @@ def test_pusher_stays_outside_and_particles_stay_rigid(env):
     shape = np.linalg.norm(env.body_particles[:, None] - env.body_particles, axis=-1)
     for _ in range(8):
         _, _, _, _, info = env.step(env.sample_stroke(rng))
-        gaps = [distance_to_block(env, p, c[None])[0] for p, c in zip(info["shapes"], info["pusher"][:, :2], strict=True)]
+        gaps = [
+            distance_to_block(env, p, c[None])[0] for p, c in zip(info["shapes"], info["pusher"][:, :2], strict=True)
+        ]
         assert min(gaps) > PUSHER_RADIUS - 1e-3
         for frame in info["frames"]:
             np.testing.assert_allclose(np.linalg.norm(frame[:, None] - frame, axis=-1), shape, atol=1e-6)

@@ -32,7 +32,7 @@ class Pairs:
         neighbors: int,
         device: str = "cpu",
     ):
-        """`rest` [S, N, 3] (m) are the objects at rest, `owner` [P] the object of each pair, `grasp` [P] its grasped particle."""
+        """`rest` [S, N, 3] (m): objects at rest; `owner` [P]: the object of each pair; `grasp` [P]: its grasped particle."""
         self.start, self.end, self.strokes, at_rest = (
             torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, strokes, rest)
         )

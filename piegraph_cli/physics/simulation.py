@@ -198,7 +198,9 @@ def _drive(
         if params.derivative > 0:
             control = control - derivative * velocity
         last = velocity
-        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness, params.tension_only) + control)
+        velocity = params.damping * (
+            velocity + springs.acceleration(x, params.stiffness, params.tension_only) + control
+        )
         x, velocity = _move(x, velocity, params.friction)
         if iteration % CHECK_EVERY == 0 and max(_speed(last), _speed(velocity)) < params.tolerance:
             break  # two iterations, since an overshoot is slow for one where it turns

@@ -109,7 +109,7 @@ class TShirtOptions(ClothOptions):
 class ToyOptions(Params):
     """A soft toy with limbs."""
 
-    young: float = Field(2e3, gt=0, description="Young's modulus [Pa]")
+    young: float = Field(3e3, gt=0, description="Young's modulus [Pa]")
     mass: float = Field(0.15, gt=0, description="mass [kg]")
     size: float = Field(0.2, gt=0, description="length from head to feet [m]")
     friction: float = Field(0.6, ge=0, description="Coulomb coefficient with table and pusher")
@@ -309,6 +309,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     max_length: float = Field(0.14, gt=0, description="longest push [m]")
     max_carry: float = Field(0.3, gt=0, description="furthest that a pick carries along x and along y [m]")
     pusher_radius: float = Field(0.01, gt=0, description="radius of the robot's pusher [m]")
+    margin: float = Field(0.002, ge=0, description="how far the object reaches beyond its particles [m]")
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"
     )

@@ -12,9 +12,6 @@ CLEARANCE = 0.008
 """Metres between the pusher's start and its first contact."""
 
 
-MARGIN = 0.002
-"""Metres added to the pusher's radius for what the particles do not show of the object."""
-
 NEIGHBORS = 8
 """Particles joined to each one to fill the gaps between them."""
 
@@ -42,6 +39,8 @@ class StrokeSpace:
     max_carry: float
     """Of a pick along x and along y, metres."""
     pusher_radius: float
+    margin: float
+    """How far the object reaches beyond its particles, metres."""
     workspace: tuple[float, ...]
     """xmin, xmax, ymin, ymax, ... [m]: a stroke's ends stay inside."""
 
@@ -144,7 +143,7 @@ class StrokeSpace:
         side = (relative * across[:, None]).sum(-1)
         middle, half = (side.amax(1) + side.amin(1)) / 2, (side.amax(1) - side.amin(1)) / 2
         offset = middle + share * half
-        reach = (self.pusher_radius + MARGIN) ** 2 - (side - offset[:, None]).square()
+        reach = (self.pusher_radius + self.margin) ** 2 - (side - offset[:, None]).square()
         contact = torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(1)
         hit = contact.isfinite()
         first = torch.where(hit, contact, 0.0) - CLEARANCE

@@ -124,6 +124,7 @@ def make_planner(
         params.max_length,
         params.max_carry,
         params.pusher_radius,
+        params.margin,
         params.workspace,
     )
     generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))

@@ -12,11 +12,11 @@ from piegraph_cli.params import PICK, PUSH, PlanParams
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
-from piegraph_cli.planning.proposals import CLEARANCE, MARGIN, StrokeSpace, solid_edges
+from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import INFEASIBLE, plan_strokes
 
 SQUARE = torch.tensor([[x, y, 0.0] for x in np.linspace(-0.05, 0.05, 6) for y in np.linspace(-0.05, 0.05, 6)]).float()
-SPACE = StrokeSpace((PUSH,), solid_edges(SQUARE), 0.02, 0.14, 0.3, 0.01, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
+SPACE = StrokeSpace((PUSH,), solid_edges(SQUARE), 0.02, 0.14, 0.3, 0.01, 0.002, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
 PICKS = replace(SPACE, modes=(PICK,))
 BOTH = replace(SPACE, modes=(PUSH, PICK))
 
@@ -31,11 +31,21 @@ def test_a_push_starts_just_off_the_object_and_heads_where_it_says():
     proposal = torch.tensor([[PUSH, 0.0, 0.0, 0.1, 0.0], [PUSH, math.pi / 2, 1.0, 0.05, 0.0]])
     strokes, feasible = SPACE.strokes(SQUARE.expand(2, -1, -1), proposal)
     assert feasible.all()
-    assert strokes[0, 0].item() == pytest.approx(-0.05 - SPACE.pusher_radius - MARGIN - CLEARANCE, abs=1e-3)
+    assert strokes[0, 0].item() == pytest.approx(-0.05 - SPACE.pusher_radius - SPACE.margin - CLEARANCE, abs=1e-3)
     torch.testing.assert_close(strokes[0, 2] - strokes[0, 0], torch.tensor(0.1))
     torch.testing.assert_close(strokes[1, [0, 2]], torch.tensor([-0.05, -0.05]))
     distances = (SQUARE[:, :2] - strokes[0, :2]).norm(dim=-1)
     assert distances.min() > SPACE.pusher_radius
+
+
+def test_a_push_starts_off_an_object_that_is_thicker_than_its_particles_show():
+    rope = torch.stack([torch.linspace(-0.2, 0.2, 50), torch.zeros(50), torch.full((50,), 0.008)], 1)
+    space = replace(SPACE, edges=solid_edges(rope), margin=0.01)
+    proposals = space.sample((500,), torch.Generator().manual_seed(0))
+    strokes, feasible = space.strokes(rope.expand(500, -1, -1), proposals)
+    gaps = (strokes[feasible][:, None, :2] - rope[None, :, :2]).norm(dim=-1).amin(1)
+    assert feasible.sum() > 300
+    assert gaps.min() >= space.pusher_radius + 0.008, "oblique pushes start off the rope too"
 
 
 def test_strokes_out_of_the_workspace_are_infeasible():

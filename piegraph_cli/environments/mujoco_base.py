@@ -102,6 +102,7 @@ class MujocoEnvironment(Environment):
         model = self.model
         # bodies with three slide joints along the world's axes: the nodes themselves, or the corners of a coarse grid
         bodies = np.unique(model.flex_nodebodyid if model.flex_interp[0] else model.flex_vertbodyid)
+        bodies = bodies[bodies > 0]  # corners of the grid that the object does not reach are left to the world
         joints = model.body_jntadr[bodies][:, None] + np.arange(3)
         self._rest = model.body_pos[bodies]
         self._qpos, self._qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
@@ -246,7 +247,8 @@ class MujocoEnvironment(Environment):
             mujoco.set_mju_user_warning(before)
 
     def _warnings(self) -> list[int]:
-        return [warning.number for warning in self.data.warning]
+        # a stiff object's ill-conditioned inertia is none of these: its solution is less exact, not wrong
+        return [w.number for k, w in enumerate(self.data.warning) if k != mujoco.mjtWarning.mjWARN_INERTIA]
 
     @staticmethod
     def _checked(shapes: Iterable[np.ndarray], sane: bool) -> np.ndarray:

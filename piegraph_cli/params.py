@@ -244,6 +244,7 @@ class TrainParams(Params):
     clip: float = Field(1.0, gt=0, description="largest gradient norm")
     batch: int = Field(8, ge=1, description="training pairs per step")
     steps: int = Field(2600, ge=1, description="training steps")
+    mirror: bool = Field(False, description="mirror half of the pairs: right where the mirror image moves alike")
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
     seed: int = Field(0, ge=0, description="seed of weights and batches")

@@ -44,11 +44,18 @@ class Pairs:
         """Whether any stroke is a pick."""
         return bool(self.strokes[:, 4].any())
 
-    def loss(self, network: EGNN, chosen: torch.Tensor, shape_weight: float) -> torch.Tensor:
-        """`dynamics_loss` (dm^2) of the network on the chosen pairs."""
+    def loss(
+        self, network: EGNN, chosen: torch.Tensor, shape_weight: float, mirrored: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """`dynamics_loss` (dm^2) of the network on the chosen pairs [B], those in `mirrored` [B] reflected in y."""
         rest = self.rest[self.owner[chosen]]
-        predicted = network(self.start[chosen], self.strokes[chosen], rest, self.grasp[chosen])
-        return dynamics_loss(predicted, self.end[chosen], rest.neighbors, shape_weight)
+        start, end, strokes = self.start[chosen], self.end[chosen], self.strokes[chosen]
+        if mirrored is not None:
+            sign = 1 - 2 * mirrored.to(start)[:, None, None]
+            start, end = (torch.cat([p[..., :1], p[..., 1:2] * sign, p[..., 2:]], -1) for p in (start, end))
+            strokes = strokes.clone()
+            strokes[:, 1:4:2] *= sign[:, 0]
+        return dynamics_loss(network(start, strokes, rest, self.grasp[chosen]), end, rest.neighbors, shape_weight)
 
     def __len__(self) -> int:
         return len(self.start)
@@ -76,9 +83,10 @@ class Trainer:
         params, pairs = self.params, self.pairs
         rng = np.random.default_rng([params.seed, self.done])
         batch = torch.as_tensor(rng.integers(0, len(pairs), params.batch), device=pairs.start.device)
+        mirrored = torch.as_tensor(rng.random(params.batch) < 0.5, device=batch.device) if params.mirror else None
         for group in self.optimizer.param_groups:
             group["lr"] = params.learning_rate * 0.5 * (1 + math.cos(math.pi * self.done / params.steps))
-        loss = pairs.loss(self.network, batch, params.shape_weight)
+        loss = pairs.loss(self.network, batch, params.shape_weight, mirrored)
         self.optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), params.clip)

@@ -93,3 +93,26 @@ def test_the_loss_is_mean_square_plus_shape():
     moved = target.clone()
     moved[0, 0, 0] = 0.1
     assert dynamics_loss(moved, target, neighbors, 0.5).item() == pytest.approx((1 + 0.5 * 2) / 3)
+
+
+def test_mirrored_training_predicts_mirrored_scenes():
+    """Strokes of one handedness: only a network that saw their mirror images knows those."""
+    rng = np.random.default_rng(5)
+    start = rng.uniform(0, 0.2, (60, 16, 3))
+    begin = rng.uniform(0, 0.2, (60, 2))
+    angle = rng.uniform(-np.pi, np.pi, 60)
+    motion = 0.1 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    left = np.stack([-motion[:, 1], motion[:, 0]], 1)
+    beside = ((start[..., :2] - begin[:, None]) * left[:, None]).sum(-1, keepdims=True)
+    end = start + np.pad(motion, ((0, 0), (0, 1)))[:, None] * (beside > 0)
+    start[..., :2] += left[:, None] * 2.0  # all of it lies to the left
+    end[..., :2] += left[:, None] * 2.0
+    strokes = np.concatenate([begin, begin + motion, np.zeros((60, 3))], 1)
+    seen = Pairs(start, end, strokes, start, np.arange(60), np.zeros(60), PARAMS.neighbors)
+    every, all_mirrored = torch.arange(60), torch.ones(60, dtype=torch.bool)
+    losses = {}
+    for mirror in (False, True):
+        trainer = trained(200, Trainer(seen, None, TrainParams(hidden=8, layers=2, steps=200, mirror=mirror)))
+        with torch.no_grad():
+            losses[mirror] = seen.loss(trainer.network, every, 0.1, all_mirrored).item()
+    assert losses[True] < 0.7 * losses[False]

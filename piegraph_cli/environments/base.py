@@ -24,7 +24,7 @@ STROKE_LENGTHS = (0.03, 0.14)
 PICK_LENGTHS = (0.05, 0.25)
 """Of random picks, metres."""
 REACH = 0.35
-"""No particle of an environment's random strokes and goals gets further from the origin in x or y, metres."""
+"""Of environments that name no other, metres."""
 _GONE = 10.0
 _TRIES = 1000
 
@@ -54,6 +54,8 @@ class Environment(gymnasium.Env):
     pusher_radius = PUSHER_RADIUS
     stroke_lengths = STROKE_LENGTHS
     """Of random pushes, metres."""
+    reach = REACH
+    """No particle gets further from the origin in x or y by random strokes and goals, metres."""
     triangles: np.ndarray
     """[T, 3] of `surface`, facing outwards."""
     color = (0.035, 0.13, 0.52)
@@ -162,11 +164,11 @@ class Environment(gymnasium.Env):
         return start, start + length * np.array([math.cos(heading), math.sin(heading)])
 
     def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
-        """Whether the object stays within REACH of the origin if all of it moved with the stroke."""
+        """Whether the object stays within `reach` of the origin if all of it moved with the stroke."""
         along = end - start
         advance = along * max(0.0, 1 - CLEARANCE / np.linalg.norm(along)) if mode == PUSH else along
         points = self._outline()[0] if mode == PUSH else start[None]
-        return bool((np.abs(points + advance) <= REACH).all())
+        return bool((np.abs(points + advance) <= self.reach).all())
 
     def _free_start(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """The start [2], moved back along the stroke until the pusher's disc is off the object."""

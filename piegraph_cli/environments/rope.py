@@ -27,6 +27,7 @@ class Rope(MujocoEnvironment):
     """
 
     stroke_lengths = (0.08, 0.26)
+    reach = 0.42
     color = (0.10, 0.05, 0.45)
 
     def __init__(self, particles: int = 50, options: RopeOptions = RopeOptions()):
@@ -64,8 +65,13 @@ class Rope(MujocoEnvironment):
         return self._dense @ self.nodes[:, :2], self.options.radius
 
     def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
-        # an end may move half as far again as the point that is pushed: the rope turns about a point beyond its middle
-        return super()._keeps_reach(start, start + 1.5 * (end - start), mode)
+        # pushed from its side, a rope turns about a point beyond its middle, and an end moves half as far again as what
+        # is pushed; pushed along itself it slides
+        nodes, along = self.nodes[:, :2], end - start
+        axis = nodes[-1] - nodes[0]
+        across = abs(axis[0] * along[1] - axis[1] * along[0]) / max(float(np.linalg.norm(axis)), 1e-9)
+        swing = 1 + 0.5 * across / float(np.linalg.norm(along))
+        return super()._keeps_reach(start, start + swing * along, mode)
 
 
 def _mjcf(options: RopeOptions) -> str:

@@ -10,7 +10,7 @@ import trimesh
 from gymnasium.utils.env_checker import check_env
 
 from piegraph_cli import environments
-from piegraph_cli.environments.base import CLEARANCE, PUSHER_RADIUS, REACH
+from piegraph_cli.environments.base import CLEARANCE, PUSHER_RADIUS
 from piegraph_cli.environments.mujoco_base import smooth_path
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.environments.rope import Rope
@@ -251,7 +251,7 @@ def test_random_strokes_move_it_and_keep_it_in_reach(env):
         for _ in range(4):
             frames = env.step(env.sample_stroke(rng))[4]["frames"]
             moved.append(np.linalg.norm(frames[-1] - frames[0], axis=1).mean())
-            assert np.abs(frames[..., :2]).max() < REACH
+            assert np.abs(frames[..., :2]).max() < env.reach
     assert 0.03 < np.mean(moved) < 0.08
 
 
@@ -259,7 +259,7 @@ def test_a_goal_is_reachable_and_leaves_the_state(env):
     before = env.get_state()
     goal = env.goal(np.random.default_rng(4))
     assert goal.shape == (50, 3)
-    assert np.abs(goal[:, :2]).max() < REACH
+    assert np.abs(goal[:, :2]).max() < env.reach
     assert np.linalg.norm(goal - env.particles(), axis=1).mean() > 0.02
     assert np.array_equal(env.get_state()["integration"], before["integration"])
 

@@ -16,6 +16,7 @@ _TWIST_DAMPING = 0.01
 """N m s/rad about the rope's own axis; without it the rope rolls off like a pipe."""
 _IMPRATIO = 30
 """So hard is friction that a bent rope at rest creeps by less than 1 mm in 2 s; softly it straightens by 4 mm."""
+_TIMESTEP = 0.008
 _GOAL_STROKES = 3
 _DENSE = 8
 
@@ -89,7 +90,7 @@ def _mjcf(options: RopeOptions) -> str:
       <contact friction="{options.friction}" selfcollide="{selfcollide}"/>
       <elasticity young="{options.young}" poisson="{_POISSON}" damping="{_DAMPING}"/>
     </flexcomp>"""
-    return scene(rope, options.friction, iterations=20, impratio=_IMPRATIO)
+    return scene(rope, options.friction, timestep=_TIMESTEP, iterations=20, impratio=_IMPRATIO)
 
 
 def _text(values: np.ndarray) -> str:

@@ -22,6 +22,8 @@ _THICK = np.array(
     [0.014, 0.0188, 0.0195, 0.023, 0.030, 0.034, 0.040, 0.043, 0.045, 0.046, 0.046, 0.047, 0.051, 0.055, 0.055]
 )
 _SLEEVE_FROM = 6
+_CARRYING = 1.72
+"""Heading of a pinching hand, rad: the forearm comes straight from the person, and most cameras see thumb and index."""
 _PAD = 0.008
 """How far below the middle of pinching fingertips they hold something, metres."""
 _SKIN, _SLEEVE = np.array([0.60, 0.335, 0.225]), np.array([0.09, 0.10, 0.12])
@@ -114,12 +116,12 @@ def arm_at(hand: Hand, grip: Grip, tip: np.ndarray) -> Arm:
 def choose_grip(hand: Hand, heading: float, tips: np.ndarray, inside, pinch: float = 0.0) -> Grip:
     """The comfortable grip for a stroke along `heading` (rad) that least reaches into the object.
 
-    `pinch` is the grip's. `tips` [F, 3] (m) is the fingertips' path; `inside(frame, points [V, 3])` says which points
+    A hand that pinches does not turn with its way. `pinch` is the grip's. `tips` [F, 3] (m) is the fingertips' path; `inside(frame, points [V, 3])` says which points
     lie in the object.
     """
     forward = math.pi / 2
     off = math.remainder(heading - forward, 2 * math.pi)
-    wanted = forward + (max(-0.7, min(off, 1.0)) if abs(off) < 2.0 else 0.0)
+    wanted = forward + (max(-0.7, min(off, 1.0)) if abs(off) < 2.0 else 0.0) if pinch == 0 else _CARRYING
     best, best_cost = Grip(wanted, 0.0, pinch), math.inf
     for steep in (0.0, 0.5, 1.0):
         for turned in np.linspace(forward - 0.8, forward + 1.1, 9):

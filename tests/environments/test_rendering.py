@@ -182,6 +182,8 @@ def test_the_grip_avoids_the_object(hand):
     free = choose_grip(hand, math.pi / 2, tips, lambda k, points: np.zeros(len(points), bool))
     avoiding = choose_grip(hand, math.pi / 2, tips, lambda k, points: points[:, 2] < low)
     assert free.steep == 0.0
+    carrying = [choose_grip(hand, h, tips, lambda k, points: np.zeros(len(points), bool), 1.0) for h in (0.5, 2.5)]
+    assert carrying[0] == carrying[1]
     assert avoiding.steep > 0.0
 
 

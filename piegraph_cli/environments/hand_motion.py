@@ -116,8 +116,8 @@ def arm_at(hand: Hand, grip: Grip, tip: np.ndarray) -> Arm:
 def choose_grip(hand: Hand, heading: float, tips: np.ndarray, inside, pinch: float = 0.0) -> Grip:
     """The comfortable grip for a stroke along `heading` (rad) that least reaches into the object.
 
-    A hand that pinches does not turn with its way. `pinch` is the grip's. `tips` [F, 3] (m) is the fingertips' path; `inside(frame, points [V, 3])` says which points
-    lie in the object.
+    A hand that pinches does not turn with its way. `pinch` is the grip's. `tips` [F, 3] (m) is the fingertips' path;
+    `inside(frame, points [V, 3])` says which points lie in the object.
     """
     forward = math.pi / 2
     off = math.remainder(heading - forward, 2 * math.pi)

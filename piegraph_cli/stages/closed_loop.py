@@ -11,7 +11,7 @@ import torch
 
 from piegraph_cli.dynamics.models import MODELS, make_predict
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES, PICK, PlanParams
+from piegraph_cli.params import MODE_NAMES, PICK, PUSH, PlanParams
 from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import Step, run_episode
@@ -139,10 +139,10 @@ def choose_modes(params: PlanParams, learned: tuple[int, ...] | None, known: tup
         missing = [MODE_NAMES[m] for m in wanted or () if has is not None and m not in has]
         if missing:
             raise UsageError(f"no {missing[0]} can be planned: {what} {', '.join(names)} only", "plan.modes")
-    modes = wanted or tuple(m for m in (0, 1) if all(has is None or m in has for has in (learned, known)))
+    modes = wanted or tuple(m for m in (PUSH, PICK) if all(has is None or m in has for has in (learned, known)))
     if not modes:
         raise UsageError(
-            f"the model was trained on {MODE_NAMES[(learned or (0,))[0]]} strokes, which {params.env} does not know",
+            f"the model was trained on {MODE_NAMES[(learned or (PUSH,))[0]]} strokes, which {params.env} does not know",
             "plan",
             "train on strokes of this environment",
         )

@@ -144,13 +144,7 @@ def guide(
     Source: paper, Eq. 3 and 4. Differs in two points: the force of a spring has a direction, +k (l − r)(x_j − x_i)/l
     (the paper's formula is a scalar), and the new velocity moves the positions (with the old one these gains diverge).
     """
-    _check_state(positions, graph)
-    if setpoint.shape != positions.shape or not bool(torch.isfinite(setpoint).all()):
-        raise DataError(
-            f"setpoint {tuple(setpoint.shape)} for positions {tuple(positions.shape)}: unequal or not finite"
-        )
-    largest = 1.0 if weights is None else float(weights.detach().max())
-    check_stability(graph, params, largest)
+    check_guidance(positions, setpoint, graph, params, weights)
     single = positions.dim() == 2
     states, targets = (a[None] if single else a for a in (positions, setpoint))
     factors = torch.ones_like(states[..., 0]) if weights is None else weights.expand(states.shape[:2])
@@ -215,15 +209,7 @@ def push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams
     for an unstable stiffness (with the bound) or a path that moves further than the disc's radius in one iteration,
     which would jump over particles. Source: paper, Eq. 3, with contact as the external force (baselines SMS).
     """
-    _check_state(positions, graph)
-    stride = float((path[:, 1:] - path[:, :-1]).norm(dim=-1).max()) if path.shape[1] > 1 else 0.0
-    if stride > params.radius:
-        raise UsageError(
-            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {params.radius} m",
-            hint="more iterations along the path",
-        )
-    stiffness, damping = (float(torch.as_tensor(value).detach()) for value in (params.stiffness, params.damping))
-    _check_bound(graph, stiffness, damping, 0.0)
+    check_push(positions, path, graph, params)
     springs = _springs(graph, positions.dtype, positions.device)
     x = positions.permute(1, 2, 0).contiguous()
     velocity = torch.zeros_like(x)
@@ -243,6 +229,32 @@ def _speed(velocity: Tensor) -> float:
 def _check_state(positions: Tensor, graph: SpringGraph) -> None:
     if positions.shape[-2:] != (graph.particles, 3) or not bool(torch.isfinite(positions).all()):
         raise DataError(f"positions {tuple(positions.shape)} for {graph.particles} particles: unequal or not finite")
+
+
+def check_guidance(
+    positions: Tensor, setpoint: Tensor, graph: SpringGraph, params: GuidanceParams, weights: Tensor | None
+) -> None:
+    """Refuse what `guide` cannot work with: see there."""
+    _check_state(positions, graph)
+    if setpoint.shape != positions.shape or not bool(torch.isfinite(setpoint).all()):
+        raise DataError(
+            f"setpoint {tuple(setpoint.shape)} for positions {tuple(positions.shape)}: unequal or not finite"
+        )
+    check_stability(graph, params, 1.0 if weights is None else float(weights.detach().max()))
+
+
+def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> tuple[float, float]:
+    """Refuse what `push` cannot work with: see there. Returns stiffness and damping as numbers."""
+    _check_state(positions, graph)
+    stride = float((path[:, 1:] - path[:, :-1]).norm(dim=-1).max()) if path.shape[1] > 1 else 0.0
+    if stride > params.radius:
+        raise UsageError(
+            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {params.radius} m",
+            hint="more iterations along the path",
+        )
+    stiffness, damping = (float(torch.as_tensor(value).detach()) for value in (params.stiffness, params.damping))
+    _check_bound(graph, stiffness, damping, 0.0)
+    return stiffness, damping
 
 
 def _check_bound(graph: SpringGraph, stiffness: float, damping: float, gain: float) -> None:

@@ -7,9 +7,10 @@ import torch
 
 from piegraph_cli.dynamics.action import check_strokes
 from piegraph_cli.dynamics.egnn import EGNN, Rest
+from piegraph_cli.kernels.network import NetworkKernel
+from piegraph_cli.kernels.springs import guide
 from piegraph_cli.params import PredictionParams
 from piegraph_cli.physics.rigid import rigid_projection
-from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
 
 Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -53,13 +54,12 @@ def make_predict(name: str, network: EGNN | None, rest: torch.Tensor, params: Pr
     if not model.network:
         return lambda positions, strokes: positions
     assert network is not None
-    known = Rest.of(rest[None], network.neighbors)
+    move = NetworkKernel(network, Rest.of(rest[None], network.neighbors))
     correct = model.correction(rest, params) if model.correction else None
 
-    @torch.no_grad()
     def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
         check_strokes(strokes)
-        setpoint = network(positions, strokes, known.expand(len(positions)))
+        setpoint = move(positions, strokes)
         return correct(positions, setpoint) if correct else setpoint
 
     return predict

@@ -24,6 +24,7 @@ import warp as wp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from piegraph_cli.process import quiet_native
 from piegraph_cli.weights import cache_folder
 
 log = logging.getLogger("piegraph")
@@ -37,7 +38,8 @@ def start_warp() -> None:
     """Start Warp without a word, compiled kernels kept in the user's cache."""
     wp.config.log_level = wp.LOG_ERROR
     wp.config.kernel_cache_dir = str(_kernel_folder())
-    wp.init()
+    with quiet_native():  # no CUDA driver is no news
+        wp.init()
 
 
 def _kernel_folder() -> Path:
@@ -54,6 +56,7 @@ def _kernel_folder() -> Path:
         return Path(temporary)
 
 
+@functools.cache
 def cores() -> int:
     """Cores that kernels use: what the process may, or OMP_NUM_THREADS, which limits the workers of `--jobs`."""
     return int(os.environ.get("OMP_NUM_THREADS") or joblib.cpu_count())
@@ -129,14 +132,14 @@ def accessors(lanes: int) -> tuple[Any, Any]:
     vec = vector(lanes)
 
     @wp.func
-    def load(a: wp.array3d(dtype=wp.float32), group: int, row: int, column: int) -> vec:  # type: ignore[valid-type]
+    def load(a: wp.array3d(dtype=wp.float32), group: int, row: int, column: int) -> vec:
         r = vec()
         for k in range(lanes):
             r[k] = a[wp.min(group * lanes + k, a.shape[0] - 1), row, column]
         return r
 
     @wp.func
-    def store(a: wp.array3d(dtype=wp.float32), group: int, row: int, column: int, value: vec):  # type: ignore[valid-type]
+    def store(a: wp.array3d(dtype=wp.float32), group: int, row: int, column: int, value: vec):
         for k in range(lanes):
             if group * lanes + k < a.shape[0]:
                 a[group * lanes + k, row, column] = value[k]

@@ -32,24 +32,24 @@ SCALE = wp.constant(DECIMETRE)
 class Weights:
     """The network's weights, transposed to [..., inputs, outputs] and scaled as the kernel needs them."""
 
-    embed: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    embed_bias: wp.array(dtype=wp.float32)  # type: ignore[valid-type]
-    receive: wp.array3d(dtype=wp.float32)  # type: ignore[valid-type]
-    receive_bias: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    send: wp.array3d(dtype=wp.float32)  # type: ignore[valid-type]
-    distance: wp.array3d(dtype=wp.float32)  # type: ignore[valid-type]
-    coordinate: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    own: wp.array3d(dtype=wp.float32)  # type: ignore[valid-type]
-    message: wp.array3d(dtype=wp.float32)  # type: ignore[valid-type]
-    update_bias: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    update: wp.array3d(dtype=wp.float32)  # type: ignore[valid-type]
-    out_bias: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    head: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    head_bias: wp.array(dtype=wp.float32)  # type: ignore[valid-type]
-    planar: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    planar_bias: wp.array(dtype=wp.float32)  # type: ignore[valid-type]
-    lift: wp.array2d(dtype=wp.float32)  # type: ignore[valid-type]
-    lift_bias: wp.array(dtype=wp.float32)  # type: ignore[valid-type]
+    embed: wp.array2d(dtype=wp.float32)
+    embed_bias: wp.array(dtype=wp.float32)
+    receive: wp.array3d(dtype=wp.float32)
+    receive_bias: wp.array2d(dtype=wp.float32)
+    send: wp.array3d(dtype=wp.float32)
+    distance: wp.array3d(dtype=wp.float32)
+    coordinate: wp.array2d(dtype=wp.float32)
+    own: wp.array3d(dtype=wp.float32)
+    message: wp.array3d(dtype=wp.float32)
+    update_bias: wp.array2d(dtype=wp.float32)
+    update: wp.array3d(dtype=wp.float32)
+    out_bias: wp.array2d(dtype=wp.float32)
+    head: wp.array2d(dtype=wp.float32)
+    head_bias: wp.array(dtype=wp.float32)
+    planar: wp.array2d(dtype=wp.float32)
+    planar_bias: wp.array(dtype=wp.float32)
+    lift: wp.array2d(dtype=wp.float32)
+    lift_bias: wp.array(dtype=wp.float32)
 
 
 @functools.cache
@@ -69,7 +69,9 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
             rounded = t + 12582912.0  # 1.5 * 2^23: the integer is now in the lowest bits
             f = t - (rounded - 12582912.0)
             p = 0.009675528604796063 + f * 0.0013276415462309434
-            p = 1.0000000716033874 + f * (0.6931469671244377 + f * (0.2402211996683336 + f * (0.05550713318206169 + f * p)))
+            p = 1.0000000716033874 + f * (
+                0.6931469671244377 + f * (0.2402211996683336 + f * (0.05550713318206169 + f * p))
+            )
             power = wp.cast(wp.cast(p, wp.int32) + (wp.cast(rounded, wp.int32) << 23), wp.float32)
             r[k] = s[k] / (1.0 + power)
         return r
@@ -90,7 +92,14 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
 
     @wp.func
     def linear(
-        rows: wp.array2d(dtype=vec), row: int, weight: wp.array2d(dtype=wp.float32), o: int, a: vec, b: vec, c: vec, d: vec
+        rows: wp.array2d(dtype=vec),
+        row: int,
+        weight: wp.array2d(dtype=wp.float32),
+        o: int,
+        a: vec,
+        b: vec,
+        c: vec,
+        d: vec,
     ):
         """Outputs o to o + 3 of a linear layer on one row, added to a, b, c, d."""
         for i in range(weight.shape[0]):
@@ -326,7 +335,12 @@ class NetworkKernel:
             height = positions[torch.arange(len(row), device=row.device), row, 2:]
             grasps = torch.cat([self.rest[row], height], -1)
         out = torch.empty_like(positions)
-        arguments: list[Any] = [positions.contiguous(), strokes[:, None].contiguous(), grasps[:, None].contiguous(), out]
+        arguments: list[Any] = [
+            positions.contiguous(),
+            strokes[:, None].contiguous(),
+            grasps[:, None].contiguous(),
+            out,
+        ]
         arguments += [*self.graph, self.rest.contiguous(), self.weights]
         arguments += [launch.scratch(particles, self.hidden) for _ in range(2)]
         arguments += [launch.scratch(particles, 3) for _ in range(3)]
@@ -340,7 +354,12 @@ def _pack(network: EGNN, count: int, device: str) -> Weights:
     named = {name: value.detach().cpu().double().numpy() for name, value in network.named_parameters()}
     inputs, hidden, layers = named["embed.weight"].shape[1], len(named["embed.bias"]), len(network.layers)
     if network.head is None:
-        zero = {"head.0.weight": (hidden, hidden), "head.0.bias": hidden, "head.2.weight": (2, hidden), "head.2.bias": 2}
+        zero = {
+            "head.0.weight": (hidden, hidden),
+            "head.0.bias": hidden,
+            "head.2.weight": (2, hidden),
+            "head.2.bias": 2,
+        }
         named |= {name: np.zeros(shape) for name, shape in zero.items()}
     before, after, share = -math.log2(math.e), -math.log(2), 1 / count
 

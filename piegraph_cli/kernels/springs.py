@@ -163,10 +163,7 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
                 force[i, c] = zero
                 summed[i, c] = zero
             target[i, 3] = load(weights, group, order[i], 0)
-        speed = tolerance * tolerance
-        iteration = int(0)
-        while iteration < iterations and speed >= tolerance * tolerance:
-            iteration += 1
+        for iteration in range(1, iterations + 1):
             looks = iteration % EVERY == 0
             largest = zero
             for i in range(particles):
@@ -217,8 +214,8 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
                 v[i, 2] = vz
                 if looks:
                     largest = wp.max(largest, wp.cw_mul(vx, vx) + wp.cw_mul(vy, vy) + wp.cw_mul(vz, vz))
-            if looks:
-                speed = fastest(largest)
+            if looks and fastest(largest) < tolerance * tolerance:
+                break
         for i in range(particles):
             for c in range(3):
                 store(out, group, order[i], c, x[i, c])
@@ -318,20 +315,39 @@ def guide(
     graph: SpringGraph,
     params: GuidanceParams = GuidanceParams(),
     weights: Tensor | None = None,
-    velocity: Tensor | None = None,
 ) -> Tensor:
     """`physics.simulation.guide` in float32, without gradients: positions, setpoint [B, N, 3] (m) and weights [B, N].
 
-    With `velocity` [B, N, 3] (m per iteration) the springs begin with it, and it holds that of the end afterwards.
     Raises as the reference does. Source: paper, Eq. 3 and 4.
     """
     check_guidance(positions, setpoint, graph, params, weights)
-    launch = Launch(len(positions), positions.device, LANES)
-    velocity = torch.zeros_like(positions) if velocity is None else velocity
     weights = torch.ones_like(positions[..., 0]) if weights is None else weights
+    return _drive(positions, torch.zeros_like(positions), setpoint, weights, graph, params)
+
+
+def drive(
+    positions: Tensor, velocity: Tensor, setpoint: Tensor, graph: SpringGraph, params: GuidanceParams, weights: Tensor
+) -> tuple[Tensor, Tensor]:
+    """`physics.simulation.drive` in float32, without gradients: positions and velocity [N, 3] afterwards."""
+    velocity = velocity.clone()
+    out = _drive(positions[None], velocity[None], setpoint[None], weights[None], graph, params)
+    return out[0], velocity
+
+
+def _drive(
+    positions: Tensor, velocity: Tensor, setpoint: Tensor, weights: Tensor, graph: SpringGraph, params: GuidanceParams
+) -> Tensor:
+    """Positions [B, N, 3] afterwards; velocity [B, N, 3] becomes that of the end. weights: [B, N]."""
+    launch = Launch(len(positions), positions.device, LANES)
     out = torch.empty_like(positions)
     size = graph.particles
-    arguments: list[Any] = [positions.contiguous(), setpoint.contiguous(), weights[..., None].contiguous(), velocity, out]
+    arguments: list[Any] = [
+        positions.contiguous(),
+        setpoint.contiguous(),
+        weights[..., None].contiguous(),
+        velocity,
+        out,
+    ]
     arguments += _packed(graph, positions.device)
     arguments += [launch.scratch(size, 3) for _ in range(3)] + [launch.scratch(size, 4), launch.scratch(size, 3)]
     arguments += [params.stiffness, params.damping, params.gain, params.integral, params.integral_limit]

@@ -3,7 +3,6 @@
 Landmark numbering is MediaPipe's: 0 wrist, 4 thumb tip, 8 index tip, 12 middle tip, 16 ring tip, 20 little finger tip.
 """
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import MissingError
+from piegraph_cli.process import quiet_native
 from piegraph_cli.recording.camera import Camera
 
 LANDMARKS = 21
@@ -72,7 +72,7 @@ def detect_hands(images: Iterable[np.ndarray], times: np.ndarray, model_path: Pa
             frame = mp.Image(image_format=mp.ImageFormat.SRGB, data=np.ascontiguousarray(image))
             for _ in range(ATTEMPTS):
                 stamp = max(stamp + 1, round((times[f] - times[0]) * 1000))
-                with _quiet() if f == 0 else nullcontext():
+                with quiet_native() if f == 0 else nullcontext():
                     result = landmarker.detect_for_video(frame, stamp)
                 if result.hand_landmarks:
                     break
@@ -98,26 +98,12 @@ def _hand_landmarker(model_path: Path) -> Iterator:
         min_tracking_confidence=CONFIDENCE,
     )
     try:
-        with _quiet():
+        with quiet_native():
             landmarker = vision.HandLandmarker.create_from_options(options)
     except (RuntimeError, ValueError) as error:
         raise MissingError(f"the hand landmark model cannot be loaded: {error}", str(model_path), hint) from None
     with landmarker:
         yield landmarker
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Drop what native code writes to stderr: MediaPipe reports its start-up there, whatever the log level."""
-    saved = os.dup(2)
-    sink = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(sink, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(sink)
-        os.close(saved)
 
 
 def lift_hands(

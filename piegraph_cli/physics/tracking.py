@@ -14,10 +14,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.kernels.springs import drive, guide
 from piegraph_cli.params import GuidanceParams, TrackParams
 from piegraph_cli.physics.association import SoftAssignment, align, misfit, thin
 from piegraph_cli.physics.rigid import rigid_projection
-from piegraph_cli.physics.simulation import check_stability, drive, guide
+from piegraph_cli.physics.simulation import check_stability
 from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
 
 FEWEST_POINTS = 20  # a cloud of fewer says too little about a pose: the frame counts as unseen
@@ -174,7 +175,7 @@ class _Follower:
 
     def _settle(self, setpoint: Tensor, weight: Tensor, grip: "_Grip") -> None:
         setpoint, gain = grip.override(setpoint, weight)
-        self.positions = guide(self.positions, setpoint, self.graph, self.settling, gain)
+        self.positions = guide(self.positions[None], setpoint[None], self.graph, self.settling, gain[None])[0]
 
     def _follow_softly(self, soft: SoftAssignment, cloud: Tensor, grip: "_Grip") -> Tensor:
         self.positions = align(self.positions, cloud)

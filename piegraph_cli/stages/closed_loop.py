@@ -1,8 +1,5 @@
 """Episodes of planning in a simulated environment, for `plan` and `trials`, and the planner that both make from settings."""
 
-import contextlib
-import ctypes
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,6 +14,7 @@ from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import Step, run_episode
 from piegraph_cli.planning.proposals import StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, plan_strokes
+from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.simulate import make_environment
 from piegraph_cli.stages.train import read_network
 from piegraph_cli.workspace.artifact import Artifact
@@ -76,20 +74,6 @@ def play(
     first = float(cost(torch.as_tensor(state)[None])[0])
     last = steps[-1].after if steps else state
     return Episode(wanted.points, steps, first, steps[-1].distance if steps else first), last
-
-
-def set_up_torch() -> None:
-    """One thread, since the arrays are small; and freed memory stays with the process.
-
-    glibc gives it back to the system after every operation and gets it again for the next, which took 40 % of the time.
-    """
-    torch.set_num_threads(1)
-    if sys.platform == "linux":
-        trim_threshold, mmap_threshold = -1, -3
-        with contextlib.suppress(AttributeError):  # another C library
-            mallopt = ctypes.CDLL(None).mallopt
-            mallopt(trim_threshold, 2**31 - 1)
-            mallopt(mmap_threshold, 2**30)
 
 
 def make_planner(

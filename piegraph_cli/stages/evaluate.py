@@ -13,6 +13,7 @@ from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance,
 from piegraph_cli.evaluation.tables import METRICS, summarise
 from piegraph_cli.params import EvaluateParams
 from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.dataset import TEST
 from piegraph_cli.stages.scores import score_sequence, true_positions
 from piegraph_cli.stages.train import read_network
@@ -22,7 +23,7 @@ from piegraph_cli.workspace.execute import Context, Output
 
 def run(inputs: dict[str, Any], params: EvaluateParams, context: Context) -> Output:
     """Measure every model on every window of held-out strokes."""
-    torch.set_num_threads(1)
+    set_up_torch()
     data, network = inputs["dataset"], read_network(inputs["model"])
     names = data.texts("sequence_name")
     rows: dict[str, list] = {name: [] for name in ("model", "horizon", "sequence", "first_stroke", *METRICS)}

@@ -1,11 +1,11 @@
 """Stage `track`: material particles that follow the object through its clouds."""
 
 import numpy as np
-import torch
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import TrackParams
 from piegraph_cli.physics.tracking import track
+from piegraph_cli.process import set_up_torch
 from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.execute import Context, Output
 
@@ -15,7 +15,7 @@ POOR = 0.008
 
 def run(inputs: dict[str, Artifact], params: TrackParams, context: Context) -> Output:
     """Track one sequence."""
-    torch.set_num_threads(1)
+    set_up_torch()
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])
     held = {"hand": source["end_effector"], "grasp": source["contact"]} if params.mode == "pick" else {}

@@ -8,6 +8,7 @@ from piegraph_cli.dynamics.egnn import EGNN
 from piegraph_cli.dynamics.training import Pairs, Trainer, make_network
 from piegraph_cli.errors import DataError, MissingError
 from piegraph_cli.params import PICK, TrainParams
+from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.dataset import TRAIN, VALIDATION
 from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.execute import Context, Output
@@ -18,7 +19,7 @@ RECORDS = 50
 
 def run(inputs: dict[str, Artifact], params: TrainParams, context: Context) -> Output:
     """Train on the dataset's training sequences."""
-    torch.set_num_threads(1)  # batches are small: a second thread costs more than it gives, and the sums would differ
+    set_up_torch()
     device = choose_device(context.device)
     data = inputs["dataset"]
     validation = read_pairs(data, VALIDATION, params.neighbors, device)

@@ -1,0 +1,38 @@
+"""How this process treats its threads, its memory and what native code writes to stderr."""
+
+import contextlib
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+
+
+def set_up_torch() -> None:
+    """One thread, since the arrays are small; and freed memory stays with the process.
+
+    glibc gives it back to the system after every operation and gets it again for the next, which took 40 % of the time
+    of planning, and stops all threads of the process while it does.
+    """
+    import torch
+
+    torch.set_num_threads(1)
+    if sys.platform == "linux":
+        trim_threshold, mmap_threshold = -1, -3
+        with contextlib.suppress(AttributeError):  # another C library
+            mallopt = ctypes.CDLL(None).mallopt
+            mallopt(trim_threshold, 2**31 - 1)
+            mallopt(mmap_threshold, 2**30)
+
+
+@contextlib.contextmanager
+def quiet_native() -> Iterator[None]:
+    """Drop what native code writes to stderr: libraries report their start-up there, whatever the log level."""
+    saved = os.dup(2)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(sink)
+        os.close(saved)

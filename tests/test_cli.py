@@ -17,7 +17,7 @@ COMMANDS = [*STAGES, "run", "status", "report", "calibrate", "view", "doctor"]
 def test_help_imports_nothing_heavy():
     code = "import sys; from piegraph_cli.app import app; print([m for m in sys.modules if '.' not in m])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    heavy = {"torch", "numpy", "h5py", "cv2", "open3d", "mediapipe", "scipy", "matplotlib", "pymunk", "gymnasium"}
+    heavy = {"torch", "numpy", "h5py", "cv2", "open3d", "mediapipe", "scipy", "matplotlib", "pymunk", "warp"}
     assert not heavy & set(json.loads(loaded.replace("'", '"')))
 
 

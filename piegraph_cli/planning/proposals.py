@@ -126,7 +126,8 @@ class StrokeSpace:
         for m, make in ((PUSH, self._pushes), (PICK, self._picks)):
             here = mode == m
             if here.any():
-                start[here], end[here], feasible[here] = make(positions[here], proposals[here, 1:])
+                chosen = positions if here.all() else positions[here]
+                start[here], end[here], feasible[here] = make(chosen, proposals[here, 1:])
         return make_strokes(start, end, mode), feasible & self._inside(start) & self._inside(end)
 
     def _pushes(
@@ -136,11 +137,12 @@ class StrokeSpace:
         heading, share, length = numbers[:, :3].unbind(-1)
         along = torch.stack([heading.cos(), heading.sin()], -1)
         across = torch.stack([-heading.sin(), heading.cos()], -1)
-        planar = self._filled(positions[..., :2])
+        one_state = positions.stride(0) == 0  # as in the first step of a horizon
+        planar = self._filled(positions[:1, :, :2] if one_state else positions[..., :2])
         centre = planar.mean(1)
-        relative = planar - centre[:, None]
-        depth = (relative * along[:, None]).sum(-1)
-        side = (relative * across[:, None]).sum(-1)
+        x, y = (planar - centre[:, None]).unbind(-1)
+        depth = x * along[:, :1] + y * along[:, 1:]
+        side = x * across[:, :1] + y * across[:, 1:]
         middle, half = (side.amax(1) + side.amin(1)) / 2, (side.amax(1) - side.amin(1)) / 2
         offset = middle + share * half
         reach = (self.pusher_radius + self.margin) ** 2 - (side - offset[:, None]).square()

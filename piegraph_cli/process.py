@@ -21,7 +21,7 @@ def set_up_torch() -> None:
         with contextlib.suppress(AttributeError):  # another C library
             mallopt = ctypes.CDLL(None).mallopt
             mallopt(trim_threshold, 2**31 - 1)
-            mallopt(mmap_threshold, 2**30)
+            mallopt(mmap_threshold, 2**25)  # the most that glibc accepts
 
 
 @contextlib.contextmanager

@@ -70,7 +70,7 @@ class Trainer:
         self.pairs, self.validation, self.params = pairs, validation, params
         self.network = make_network(params, pairs.picks).to(device)
         self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=params.learning_rate, weight_decay=params.weight_decay
+            self.network.parameters(), lr=params.learning_rate, weight_decay=params.weight_decay, fused=True
         )
         self.done = 0
         self.best: dict[str, torch.Tensor] = {}

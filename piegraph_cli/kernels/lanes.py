@@ -29,7 +29,15 @@ from piegraph_cli.weights import cache_folder
 
 log = logging.getLogger("piegraph")
 
-KERNEL = {"module": "unique", "enable_backward": False, "module_options": {"max_unroll": 0}}
+FLAGS = "-ffp-contract=fast -freciprocal-math -fapprox-func -mrecip=all"
+"""Fused multiply-adds, and quotients and roots from the CPU's estimates and a Newton step, within a few last bits. Sums
+keep their order: the network's power of two is lost otherwise."""
+
+KERNEL = {
+    "module": "unique",
+    "enable_backward": False,
+    "module_options": {"max_unroll": 0, "cpu_compiler_flags": f"{wp.config.cpu_compiler_flags} {FLAGS}"},
+}
 """Options of every kernel: a module each, so that only those in use are compiled."""
 
 
@@ -120,6 +128,7 @@ class Launch:
 @functools.cache
 def vector(lanes: int) -> type:
     """The type of `lanes` floats."""
+    start_warp()
     return wp.types.vector(lanes, wp.float32)
 
 

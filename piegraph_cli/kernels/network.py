@@ -55,7 +55,6 @@ class Weights:
 @functools.cache
 def _kernel(lanes: int, picks: bool) -> wp.Kernel:
     """The kernel for groups of `lanes` candidates."""
-    start_warp()
     vec = vector(lanes)
     load, store = accessors(lanes)
     zero, one = vec(0.0), vec(1.0)
@@ -307,28 +306,29 @@ class NetworkKernel:
     """
 
     def __init__(self, network: EGNN, rest: Rest):
-        self.network = network
-        self.device = rest.positions.device
         start_warp()
+        self.network = network
+        self.weights = _pack(network, rest.neighbors.shape[-1], str(rest.positions.device))
+        self.look_at(rest)
+
+    def look_at(self, rest: Rest) -> None:
+        """Predict for another object from now on, with as many neighbours of each particle."""
         neighbors = rest.neighbors[0].cpu().numpy()
         particles, count = neighbors.shape
         owner = np.repeat(np.arange(particles), count)
-        self.order = bandwidth_order(np.stack([owner, neighbors.reshape(-1)], 1), particles)
-        place = np.argsort(self.order)
-        self.rest = rest.positions[0]
-        where = str(self.device)
+        order = bandwidth_order(np.stack([owner, neighbors.reshape(-1)], 1), particles)
+        self.rest = rest.positions[0].contiguous()
         self.graph = [
-            wp.array(np.ascontiguousarray(a, np.int32), dtype=wp.int32, device=where)
-            for a in (self.order, place[neighbors[self.order]])
+            wp.array(np.ascontiguousarray(a, np.int32), dtype=wp.int32, device=str(rest.positions.device))
+            for a in (order, np.argsort(order)[neighbors[order]])
         ]
-        self.weights = _pack(network, count, where)
-        self.hidden = self.weights.embed.shape[1]
 
     @torch.no_grad()
     def __call__(self, positions: Tensor, strokes: Tensor) -> Tensor:
         """`network(positions, strokes, rest)` in float32, without gradients."""
         launch = Launch(len(positions), positions.device, LANES)
         particles, count = self.graph[1].shape
+        hidden = self.weights.embed.shape[1]
         grasps = torch.empty(len(positions), 4)
         if self.network.picks:
             row = grasped_particle(positions, strokes)
@@ -341,10 +341,10 @@ class NetworkKernel:
             grasps[:, None].contiguous(),
             out,
         ]
-        arguments += [*self.graph, self.rest.contiguous(), self.weights]
-        arguments += [launch.scratch(particles, self.hidden) for _ in range(2)]
+        arguments += [*self.graph, self.rest, self.weights]
+        arguments += [launch.scratch(particles, hidden) for _ in range(2)]
         arguments += [launch.scratch(particles, 3) for _ in range(3)]
-        arguments += [launch.scratch(3, count), launch.scratch(2, max(self.hidden, FEATURES + PICK_FEATURES))]
+        arguments += [launch.scratch(3, count), launch.scratch(2, max(hidden, FEATURES + PICK_FEATURES))]
         launch.run(_kernel(launch.lanes, self.network.picks), arguments)
         return out
 

@@ -50,7 +50,6 @@ class _Kernels:
 @functools.cache
 def _kernels(lanes: int, terms: _Terms) -> _Kernels:
     """The kernels for groups of `lanes` candidates. Each particle's springs are those to later particles."""
-    start_warp()
     friction_acts, tension_only = terms.friction, terms.tension_only
     integral_acts, derivative_acts = terms.integral, terms.derivative
     vec = vector(lanes)
@@ -59,14 +58,9 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
 
     @wp.func
     def inverse_root(a: vec) -> vec:
-        """1 / sqrt(a) of normal numbers by Newton's method: root and quotient would take most of a kernel's time."""
         r = vec()
         for k in range(lanes):
-            half = 0.5 * a[k]
-            y = wp.cast(1597463174 - (wp.cast(a[k], wp.int32) >> 1), wp.float32)  # within 4 %: the exponent halved
-            y = y * (1.5 - half * y * y)
-            y = y * (1.5 - half * y * y)
-            r[k] = y * (1.5 - half * y * y)
+            r[k] = 1.0 / wp.sqrt(a[k])
         return r
 
     @wp.func

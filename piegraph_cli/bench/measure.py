@@ -1,0 +1,192 @@
+"""What a benchmark row says, how it is timed, and what the machine can do at most."""
+
+import contextlib
+import functools
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+import warp as wp
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.kernels import lanes
+
+REPEATS = 9
+WITHIN = 0.2
+"""Seconds that one measurement lasts at most, in repeats of what is measured; slower things are measured fewer times."""
+
+FMA_STEPS = 4_000_000
+ACCUMULATORS = 12
+COPIED = {"cache": 1 << 15, "memory": 1 << 26}
+"""Floats copied: 128 KB, which the second cache holds, and 256 MB, which none does."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement."""
+
+    subject: str
+    case: str
+    seconds: float
+    """Median of one repeat."""
+    cores: int = 1
+    error: float | None = None
+    """Largest deviation from the reference, metres."""
+    flop: float | None = None
+    """Operations of the method on floats, as the reference's formulas have them; comparisons and integers are free."""
+    bytes: float | None = None
+    """Loaded from and stored to arrays."""
+    reference_seconds: float | None = None
+    """The reference on the same input in the same run."""
+    share: float | None = None
+    """Of the peak of the cores used."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The row and what follows from it."""
+        rate = {"gflops": self.flop / self.seconds / 1e9} if self.flop else {}
+        ratio = {"ratio": self.reference_seconds / self.seconds} if self.reference_seconds else {}
+        return {name: value for name, value in asdict(self).items() if value is not None} | rate | ratio
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Rows as lines for people."""
+    lines = [
+        f"{'':34s}{'cores':>6s}{'median':>11s}{'error':>11s}{'GFlop/s':>9s}{'of peak':>9s}{'reference':>11s}{'ratio':>8s}"
+    ]
+    for row in rows:
+        values = row.as_dict()
+        error = f"{row.error:.1e} m" if row.error is not None else ""
+        rate = f"{values['gflops']:.1f}" if "gflops" in values else ""
+        share = f"{row.share:.0%}" if row.share is not None else ""
+        reference = _time(row.reference_seconds) if row.reference_seconds else ""
+        ratio = f"{values['ratio']:.1f}x" if "ratio" in values else ""
+        name = f"{row.subject} {row.case}"
+        lines.append(
+            f"{name:34s}{row.cores:6d}{_time(row.seconds):>11s}{error:>11s}{rate:>9s}{share:>9s}{reference:>11s}{ratio:>8s}"
+        )
+    return lines
+
+
+def _time(seconds: float) -> str:
+    return (
+        f"{seconds:.2f} s"
+        if seconds >= 1
+        else f"{seconds * 1e3:.3g} ms"
+        if seconds >= 1e-3
+        else f"{seconds * 1e6:.3g} us"
+    )
+
+
+def median_seconds(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+    """Median time of `work`, which has run once before to warm up; quick work is repeated within a measurement."""
+    work()
+    begin = time.perf_counter()
+    work()
+    times = max(1, round(WITHIN / repeats / max(time.perf_counter() - begin, 1e-7)))
+    measured = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        for _ in range(times):
+            work()
+        measured.append((time.perf_counter() - begin) / times)
+    return statistics.median(measured)
+
+
+def check(what: str, error: float, allowed: float) -> float:
+    """The error, if it is allowed. Raises `DataError` otherwise: the speed of wrong results means nothing."""
+    if not error <= allowed:
+        raise DataError(f"deviates from its reference by {error:.2e} m, more than {allowed:g} m", f"bench {what}")
+    return error
+
+
+@contextlib.contextmanager
+def on_cores(count: int) -> Iterator[None]:
+    """Kernels use `count` cores."""
+    before = os.environ.get("OMP_NUM_THREADS")
+    os.environ["OMP_NUM_THREADS"] = str(count)
+    lanes.cores.cache_clear()
+    try:
+        yield
+    finally:
+        os.environ.pop("OMP_NUM_THREADS")
+        if before is not None:
+            os.environ["OMP_NUM_THREADS"] = before
+        lanes.cores.cache_clear()
+
+
+@functools.cache
+def peak(cores: int) -> float:
+    """Operations a second of a loop of fused multiply-adds in registers, the best of two vector widths."""
+    with on_cores(cores):
+        return max(_fma_rate(width, cores) for width in (8, 16))
+
+
+def machine_rows() -> list[Row]:
+    """Peaks of one core and of all, and copies within the cache and within memory."""
+    rows = []
+    for cores in core_counts():
+        rate = peak(cores)
+        rows.append(Row("machine", "fused multiply-adds, 1 GFlop", 1e9 / rate, cores, flop=1e9, share=1.0))
+    for where, floats in COPIED.items():
+        source, target = torch.ones(floats), torch.empty(floats)
+        seconds = median_seconds(functools.partial(target.copy_, source))
+        rows.append(
+            Row("machine", f"copy in {where}, {8 * floats / seconds / 1e9:.0f} GB/s", seconds, bytes=8.0 * floats)
+        )
+    return rows
+
+
+def core_counts() -> list[int]:
+    """One core, and all."""
+    return sorted({1, lanes.cores()})
+
+
+def _fma_rate(width: int, cores: int) -> float:
+    launch = lanes.Launch(cores * width, torch.device("cpu"), width)
+    values = launch.scratch(ACCUMULATORS)
+    values.zero_()
+    seconds = median_seconds(lambda: launch.run(_fma_kernel(width), [values, FMA_STEPS]), 5)
+    return 2.0 * width * ACCUMULATORS * FMA_STEPS * cores / seconds
+
+
+@functools.cache
+def _fma_kernel(width: int) -> wp.Kernel:
+    vec = lanes.vector(width)
+
+    @wp.kernel(module="unique", enable_backward=False)  # unrolled, unlike the kernels of many lanes
+    def multiply_add(first_group: int, first_slot: int, apart: int, values: wp.array2d(dtype=vec), steps: int):
+        slot = first_slot + wp.tid() * apart
+        factor = vec(0.5)
+        more = vec(1.0)
+        a = values[slot, 0]
+        b = values[slot, 1]
+        c = values[slot, 2]
+        d = values[slot, 3]
+        e = values[slot, 4]
+        f = values[slot, 5]
+        g = values[slot, 6]
+        h = values[slot, 7]
+        i = values[slot, 8]
+        j = values[slot, 9]
+        k = values[slot, 10]
+        l = values[slot, 11]
+        for _ in range(steps):
+            a = wp.cw_mul(a, factor) + more
+            b = wp.cw_mul(b, factor) + more
+            c = wp.cw_mul(c, factor) + more
+            d = wp.cw_mul(d, factor) + more
+            e = wp.cw_mul(e, factor) + more
+            f = wp.cw_mul(f, factor) + more
+            g = wp.cw_mul(g, factor) + more
+            h = wp.cw_mul(h, factor) + more
+            i = wp.cw_mul(i, factor) + more
+            j = wp.cw_mul(j, factor) + more
+            k = wp.cw_mul(k, factor) + more
+            l = wp.cw_mul(l, factor) + more
+        values[slot, 0] = a + b + c + d + e + f + g + h + i + j + k + l
+
+    return multiply_add

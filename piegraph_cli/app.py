@@ -391,6 +391,29 @@ def doctor(
     _emit(_Report({"checks": [asdict(c) for c in checks]}, lines, 4 if needed else 0), as_json)
 
 
+@app.command()
+def bench(
+    subjects: Annotated[
+        list[str] | None,
+        typer.Argument(help="sms, egnn, plan, track, train, perception [default: all; perception only with --run]"),
+    ] = None,
+    run: Annotated[Path | None, typer.Option(help="run folder with a recording's results, for perception")] = None,
+    roofline: Annotated[Path | None, typer.Option(help="picture (.png, .svg) of the kernels' rates")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure speed on this machine.
+
+    Every figure comes after a check of the result, beside the machine's measured peak and the reference in PyTorch.
+    """
+    from piegraph_cli.bench.measure import table
+    from piegraph_cli.bench.run import draw_roofline, run_benchmarks
+
+    rows = list(run_benchmarks(list(subjects or ()), run))
+    if roofline is not None:
+        draw_roofline(rows).savefig(roofline, dpi=150)
+    _emit(_Report({"rows": [row.as_dict() for row in rows]}, table(rows)), as_json)
+
+
 def _version(value: bool) -> None:
     if value:
         print(f"piegraph {__version__}")

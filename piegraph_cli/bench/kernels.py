@@ -56,7 +56,7 @@ def random_strokes(batch: int, rng: np.random.Generator) -> Tensor:
     """Pushes [B, 7] of 5 to 20 cm."""
     start, heading = rng.uniform(0, 0.2, (batch, 2)), rng.uniform(0, 2 * np.pi, batch)
     end = start + rng.uniform(0.05, 0.2, (batch, 1)) * np.stack([np.cos(heading), np.sin(heading)], 1)
-    return make_strokes(*(torch.as_tensor(a.astype(np.float32)) for a in (start, end)), torch.zeros(batch))
+    return make_strokes(start.astype(np.float32), end.astype(np.float32), torch.zeros(batch))
 
 
 def graph_of(rest: np.ndarray, count: int) -> SpringGraph:

@@ -10,17 +10,16 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
-import warp as wp
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.kernels import lanes
+from piegraph_cli.kernels.peak import ACCUMULATORS, multiply_add
 
 REPEATS = 9
 WITHIN = 0.2
 """Seconds that one measurement lasts at most, in repeats of what is measured; slower things are measured fewer times."""
 
 FMA_STEPS = 4_000_000
-ACCUMULATORS = 10
 COPIED = {"cache": 1 << 15, "memory": 1 << 26}
 """Floats copied: 128 KB, which the second cache holds, and 256 MB, which none does."""
 
@@ -154,49 +153,5 @@ def _fma_rate(width: int, cores: int) -> float:
     launch = lanes.Launch(cores * width, torch.device("cpu"), width)
     values = launch.scratch(ACCUMULATORS)
     values.zero_()
-    seconds = min(measure(lambda: launch.run(_fma_kernel(width), [values, FMA_STEPS]), REPEATS))
+    seconds = min(measure(lambda: launch.run(multiply_add(width), [values, FMA_STEPS]), REPEATS))
     return 2.0 * width * ACCUMULATORS * FMA_STEPS * cores / seconds
-
-
-@functools.cache
-def _fma_kernel(width: int) -> wp.Kernel:
-    vec = lanes.vector(width)
-
-    @wp.kernel(module="unique", enable_backward=False)  # unrolled, unlike the kernels of many lanes
-    def multiply_add(first_group: int, first_slot: int, apart: int, values: wp.array2d(dtype=vec), steps: int):
-        slot = first_slot + wp.tid() * apart
-        factor = values[slot, 0]
-        more = values[slot, 1]
-        a = values[slot, 0]
-        b = values[slot, 1]
-        c = values[slot, 2]
-        d = values[slot, 3]
-        e = values[slot, 4]
-        f = values[slot, 5]
-        g = values[slot, 6]
-        h = values[slot, 7]
-        i = values[slot, 8]
-        j = values[slot, 9]
-        for _ in range(steps):
-            a = wp.cw_mul(a, factor) + more
-            b = wp.cw_mul(b, factor) + more
-            c = wp.cw_mul(c, factor) + more
-            d = wp.cw_mul(d, factor) + more
-            e = wp.cw_mul(e, factor) + more
-            f = wp.cw_mul(f, factor) + more
-            g = wp.cw_mul(g, factor) + more
-            h = wp.cw_mul(h, factor) + more
-            i = wp.cw_mul(i, factor) + more
-            j = wp.cw_mul(j, factor) + more
-        values[slot, 0] = a
-        values[slot, 1] = b
-        values[slot, 2] = c
-        values[slot, 3] = d
-        values[slot, 4] = e
-        values[slot, 5] = f
-        values[slot, 6] = g
-        values[slot, 7] = h
-        values[slot, 8] = i
-        values[slot, 9] = j
-
-    return multiply_add

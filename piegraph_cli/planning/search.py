@@ -61,10 +61,14 @@ def plan_strokes(
             kept = proposals[leader : leader + 1]
         weights = _weights(costs, params)
         seen.append((strokes, costs, weights))
+        if params.planner == "cem" and float(costs[weights > 0].max()) - best[0] < params.converged:
+            break
         noise = params.noise if params.planner == "mppi" else None
         proposals = torch.cat([kept, space.refit(proposals, weights, noise, params.samples - 1, generator)])
     if best is None or best[0] >= INFEASIBLE:
         return None
+    never = params.cem_iterations - len(seen)
+    seen += [(torch.full_like(strokes, torch.nan), torch.full_like(costs, torch.nan), torch.zeros_like(costs))] * never
     candidates = Candidates(*(torch.stack(column) for column in zip(*seen, strict=True)))
     return Plan(best[1], best[2], best[0], candidates)
 

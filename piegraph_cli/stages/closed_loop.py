@@ -101,9 +101,16 @@ def make_planner(
         return cost, lambda positions: put_worst_right(positions, target, cost)
     network = read_network(model) if needed and model is not None else None
     predict = make_predict(params.model, network, torch.as_tensor(state), params)
-    space = StrokeSpace(
+    space = stroke_space(torch.as_tensor(state), params, modes)
+    generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
+    return cost, lambda positions: plan_strokes(positions, predict, cost, space, params, generator)
+
+
+def stroke_space(state: torch.Tensor, params: PlanParams, modes: tuple[int, ...]) -> StrokeSpace:
+    """The strokes to search for an object whose rest state is `state` [N, 3] (m)."""
+    return StrokeSpace(
         modes,
-        solid_edges(torch.as_tensor(state)),
+        solid_edges(state),
         params.min_length,
         params.max_length,
         params.max_carry,
@@ -111,8 +118,6 @@ def make_planner(
         params.margin,
         params.workspace,
     )
-    generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
-    return cost, lambda positions: plan_strokes(positions, predict, cost, space, params, generator)
 
 
 def choose_modes(params: PlanParams, learned: tuple[int, ...] | None, known: tuple[int, ...] | None) -> tuple[int, ...]:

@@ -1,0 +1,163 @@
+"""Benchmarks of planning, tracking, training and perception."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from piegraph_cli.bench.kernels import network_flop, random_object, random_strokes
+from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores
+from piegraph_cli.dynamics.egnn import EGNN, Rest
+from piegraph_cli.dynamics.models import Predict, make_predict
+from piegraph_cli.dynamics.training import Pairs, Trainer
+from piegraph_cli.errors import UsageError
+from piegraph_cli.params import PUSH, PlanParams, TrainParams
+from piegraph_cli.physics.simulation import guide
+from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.physics.tracking import track
+from piegraph_cli.planning.costs import make_cost
+from piegraph_cli.planning.search import plan_strokes
+from piegraph_cli.stages import STAGES
+from piegraph_cli.stages.closed_loop import stroke_space
+from piegraph_cli.stages.simulate import make_environment
+from piegraph_cli.workspace.artifact import read_artifact
+from piegraph_cli.workspace.execute import Checkpoint, Context
+from piegraph_cli.workspace.run import Run
+
+AT_REST = 1e-3
+"""Metres. The springs of a plan stop when all of their group are at rest, and groups differ from the reference's."""
+
+TRACKED = 5e-3
+"""Metres of mean error allowed to tracking."""
+
+FRAMES = 20
+PAIRS = 1000
+LEARNED = 200
+"""Training steps of the planning benchmark's network, so that setpoints are such as a trained one gives."""
+
+
+def plan_rows() -> Iterator[Row]:
+    """Plans for the T-block, horizon 1, guided and not, beside the same search with the references in PyTorch."""
+    state, network = _learned_block()
+    for samples, iterations in ((100, 5), (500, 30)):
+        for model in ("piegraph", "piegraph-ng"):
+            for cores in core_counts():
+                yield _plan(state, network, model, samples, iterations, cores)
+
+
+def _learned_block() -> tuple[Tensor, EGNN]:
+    environment = make_environment("tblock", 50, PlanParams())
+    rest, _ = environment.reset(seed=0)
+    rng, state = np.random.default_rng(0), rest
+    starts, ends, strokes = [], [], []  # type: ignore[var-annotated]
+    while len(strokes) < 40:
+        stroke = environment.sample_stroke(rng)
+        after = environment.step(stroke)[0]
+        starts.append(state)
+        ends.append(after)
+        strokes.append([*stroke["start"], *stroke["end"], PUSH, 0, 0])
+        state = after
+    owner = np.zeros(len(strokes), int)
+    params = TrainParams(steps=LEARNED)
+    pairs = Pairs(np.array(starts), np.array(ends), np.array(strokes), rest[None], owner, owner, params.neighbors)
+    trainer = Trainer(pairs, None, params)
+    for _ in range(LEARNED):
+        trainer.step()
+    return torch.as_tensor(rest), trainer.network
+
+
+def _plan(state: Tensor, network: EGNN, model: str, samples: int, iterations: int, cores: int) -> Row:
+    params = PlanParams(samples=samples, cem_iterations=iterations, model=model)
+    space = stroke_space(state, params, (PUSH,))
+    cost = make_cost("distance", state + torch.tensor([0.1, 0.05, 0.0]), len(state))
+    predict, slow = make_predict(model, network, state, params), _reference(model, network, state, params)
+
+    def plan(with_: Predict):
+        found = plan_strokes(state, with_, cost, space, params, torch.Generator().manual_seed(0))
+        assert found is not None
+        return found
+
+    strokes = plan(predict).candidates.strokes[0, :, 0]
+    states = state.expand(samples, -1, -1)
+    error = float((predict(states, strokes) - slow(states, strokes)).norm(dim=-1).mean(1).max())
+    with on_cores(cores):
+        seconds = median_seconds(lambda: plan(predict), 5)
+    begin = time.perf_counter()
+    if cores == 1:
+        plan(slow)
+    reference = time.perf_counter() - begin if cores == 1 else None
+    name = f"{samples} x {iterations}, {'guided' if model == 'piegraph' else 'not guided'}"
+    return Row("plan", name, seconds, cores, check("plan", error, AT_REST), reference_seconds=reference)
+
+
+def _reference(model: str, network: EGNN, state: Tensor, params: PlanParams) -> Predict:
+    rest, graph = Rest.of(state[None], network.neighbors), build_springs(state.numpy(), params.spring_radius)
+
+    @torch.no_grad()
+    def predict(positions: Tensor, strokes: Tensor) -> Tensor:
+        pairs = zip(positions.split(25), strokes.split(25), strict=True)
+        setpoint = torch.cat([network(x, s, rest.expand(len(x))) for x, s in pairs])
+        return guide(positions, setpoint, graph, params) if model == "piegraph" else setpoint
+
+    return predict
+
+
+def track_rows() -> Iterator[Row]:
+    """A frame of tracking: 150 particles of a block that turns, in clouds of 3000 points with 1 mm of noise."""
+    rng = np.random.default_rng(0)
+    block = rng.uniform([-0.1, -0.05, 0], [0.1, 0.05, 0.03], (3000, 3))
+    clouds, poses = [], []
+    for frame in range(FRAMES):
+        c, s = np.cos(0.05 * frame), np.sin(0.05 * frame)
+        pose = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        clouds.append((block @ pose + [0.006 * frame, 0, 0] + rng.normal(0, 0.001, block.shape)).astype(np.float32))
+        poses.append(pose)
+    found = track(clouds).positions
+    true = np.stack([found[0] @ pose + [0.006 * k, 0, 0] for k, pose in enumerate(poses)])
+    error = float(np.linalg.norm(found - true, axis=-1).mean())
+    seconds = median_seconds(lambda: track(clouds), 3) / FRAMES
+    yield Row("track", "a frame, 150 particles", seconds, error=check("track", error, TRACKED))
+
+
+def train_rows() -> Iterator[Row]:
+    """A training step, by batch and threads of PyTorch; the rate counts the backward pass as two forward ones."""
+    rng = np.random.default_rng(0)
+    rest = random_object(50, rng)
+    start = np.repeat(rest[None], PAIRS, 0)
+    none = np.zeros(PAIRS, int)
+    strokes = random_strokes(PAIRS, rng).numpy()
+    for batch in (8, 32):
+        for threads in core_counts():
+            torch.set_num_threads(threads)
+            params = TrainParams(batch=batch)
+            trainer = Trainer(
+                Pairs(start, start + 0.01, strokes, rest[None], none, none, params.neighbors), None, params
+            )
+            seconds = median_seconds(trainer.step)
+            torch.set_num_threads(1)
+            yield Row("train", f"a step, batch {batch}", seconds, threads, flop=3 * batch * network_flop(50, params))
+
+
+def perception_rows(folder: Path) -> Iterator[Row]:
+    """A frame of all cameras through the stages of a run's first sequence, whose results must come out again."""
+    run = Run.open(folder)
+    names = run.sequences
+    for name in ("hands", "segment", "fuse", "track"):
+        stage = STAGES[name]
+        if not names or not run.path(stage.writes, names[0]).is_file():
+            raise UsageError(
+                f"{folder} has no {stage.writes} to compare with", "bench perception", f"piegraph run --run {folder}"
+            )
+        inputs = {read: read_artifact(run.path(read, names[0]), read) for read in stage.reads}
+        context = Context(run, names[0], "cpu", Checkpoint(run.checkpoint(stage), ""), True)
+        begin = time.perf_counter()
+        output = stage.load()(inputs, run.params(stage, names[0]), context)
+        seconds = time.perf_counter() - begin
+        stored = read_artifact(run.path(stage.writes, names[0]), stage.writes)
+        same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in output.arrays.items())
+        frames = len(output.arrays["time"]) if "time" in output.arrays else len(output.arrays["positions"])
+        case = f"{name}, a frame" + ("" if same else ", not as stored")
+        yield Row("perception", case, seconds / frames)

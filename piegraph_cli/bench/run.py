@@ -1,0 +1,61 @@
+"""All benchmarks by name, one after the other, and the roofline of what they measured."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from piegraph_cli.bench.kernels import network_rows, spring_rows
+from piegraph_cli.bench.measure import Row, machine_rows, peak
+from piegraph_cli.bench.pipeline import perception_rows, plan_rows, track_rows, train_rows
+from piegraph_cli.errors import UsageError
+from piegraph_cli.process import set_up_torch
+
+
+def run_benchmarks(subjects: list[str], run: Path | None) -> Iterator[Row]:
+    """Rows of the machine, then of each subject; of all of them where none is named. `perception` needs a run."""
+    set_up_torch()
+    if "perception" in subjects and run is None:
+        raise UsageError("a run with hands, masks, clouds and tracks is needed", "bench perception", "--run RUN")
+    known: dict[str, Callable[[], Iterator[Row]]] = {
+        "sms": spring_rows,
+        "egnn": network_rows,
+        "plan": plan_rows,
+        "track": track_rows,
+        "train": train_rows,
+    }
+    if run is not None:
+        known["perception"] = partial(perception_rows, run)
+    unknown = [subject for subject in subjects if subject not in known]
+    if unknown:
+        raise UsageError(f"no benchmark {unknown[0]}", "bench", f"one of {', '.join(known)}")
+    yield from machine_rows()
+    for subject in subjects or known:
+        yield from known[subject]()
+
+
+def draw_roofline(rows: list[Row]) -> Figure:
+    """What each kernel reached against what arithmetic and copies in the cache allow, on one core."""
+    figure = Figure(figsize=(7, 4.6), layout="constrained")
+    axes = figure.subplots()
+    cache = max(row.bytes / row.seconds for row in rows if row.subject == "machine" and row.bytes)
+    ends = [0.1, 100.0]
+    corner = peak(1) / cache
+    axes.plot([ends[0], corner, ends[1]], [cache * ends[0] / 1e9, peak(1) / 1e9, peak(1) / 1e9], color="0.3", lw=1.2)
+    axes.annotate(
+        f"multiply-adds, {peak(1) / 1e9:.0f} GFlop/s", (ends[1], peak(1) / 1e9), ha="right", va="bottom", fontsize=8
+    )
+    axes.annotate(
+        f"copy in the cache, {cache / 1e9:.0f} GB/s", (ends[0] * 1.3, cache * ends[0] * 1.6 / 1e9), fontsize=8
+    )
+    for subject, color, marker in (("sms", "#1f4e9c", "o"), ("egnn", "#d62728", "s")):
+        mine = [row for row in rows if row.subject == subject and row.flop and row.bytes and row.cores == 1]
+        x = [(row.flop or 0) / (row.bytes or 1) for row in mine]
+        y = [(row.flop or 0) / row.seconds / 1e9 for row in mine]
+        axes.scatter(x, y, s=22, color=color, marker=marker, label=subject, zorder=3)
+    axes.set(xscale="log", yscale="log", xlabel="operations per byte loaded or stored", ylabel="GFlop/s on one core")
+    axes.set(xlim=ends, ylim=(5, 2 * peak(1) / 1e9))
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(loc="lower right")
+    return figure

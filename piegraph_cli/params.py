@@ -300,7 +300,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     horizon: int = Field(1, ge=1, description="strokes planned ahead")
     samples: int = Field(100, ge=4, description="candidates per iteration")
     cem_iterations: int = Field(5, ge=1, description="iterations of the planner")
-    converged: float = Field(0.0, ge=0, description="CEM ends when its elites' costs lie within this [m]")
+    converged: float = Field(2e-4, ge=0, description="CEM ends when its elites' costs lie within this [m]")
     elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites of CEM")
     temperature: float = Field(0.005, gt=0, description="cost that MPPI finds much [m]")
     noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")

@@ -111,7 +111,8 @@ class Launch:
         """Run `kernel(first group, first slot, slots per group, *arguments)` over all groups."""
         device = wp.get_device(str(self.device))
         if device.is_cuda:
-            wp.launch(kernel, self.groups, [0, 0, 1, *arguments], device=device)
+            stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+            wp.launch(kernel, self.groups, [0, 0, 1, *arguments], device=device, stream=stream)
             return
         kernel.module.load(device)  # here, so that threads do not compile it twice
         edges = [w * self.groups // self.slots for w in range(self.slots + 1)]

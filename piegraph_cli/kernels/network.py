@@ -329,7 +329,7 @@ class NetworkKernel:
         launch = Launch(len(positions), positions.device, LANES)
         particles, count = self.graph[1].shape
         hidden = self.weights.embed.shape[1]
-        grasps = torch.empty(len(positions), 4)
+        grasps = torch.empty(len(positions), 4, device=positions.device)
         if self.network.picks:
             row = grasped_particle(positions, strokes)
             height = positions[torch.arange(len(row), device=row.device), row, 2:]

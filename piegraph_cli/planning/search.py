@@ -16,7 +16,7 @@ INFEASIBLE = 10.0
 
 @dataclass(frozen=True)
 class Candidates:
-    """What a search looked at, in I iterations of B candidates."""
+    """What a search looked at, in I iterations of B candidates; NaN and weight 0 in those that convergence spared."""
 
     strokes: torch.Tensor
     """[I, B, H, 7] (m)."""
@@ -48,7 +48,8 @@ def plan_strokes(
 
     The first iteration is uniform. Each later one is drawn around the weighted candidates of the one before, and keeps the
     best so far: CEM weighs the elites equally and fits the deviation, MPPI weighs all by exp(-cost / temperature) and
-    keeps the deviation. Source: paper, III-E (CEM); MPPI as in the paper's baseline PGND.
+    keeps the deviation. CEM ends early when its elites are as good as the best within `converged` (m).
+    Source: paper, III-E (CEM); MPPI as in the paper's baseline PGND.
     """
     proposals = space.sample((params.samples, params.horizon), generator)
     best: tuple[float, torch.Tensor, torch.Tensor] | None = None
@@ -61,7 +62,8 @@ def plan_strokes(
             kept = proposals[leader : leader + 1]
         weights = _weights(costs, params)
         seen.append((strokes, costs, weights))
-        if params.planner == "cem" and float(costs[weights > 0].max()) - best[0] < params.converged:
+        agreed = best[0] < INFEASIBLE and float(costs[weights > 0].max()) - best[0] < params.converged
+        if params.planner == "cem" and agreed:
             break
         noise = params.noise if params.planner == "mppi" else None
         proposals = torch.cat([kept, space.refit(proposals, weights, noise, params.samples - 1, generator)])

@@ -170,7 +170,7 @@ def step_arrays(steps: list[Step], particles: int) -> dict[str, np.ndarray]:
         "blocked": np.array([s.blocked for s in steps], bool),
         "seconds": np.array([s.seconds for s in steps], float),
         "candidate_stroke": candidates[..., :4].reshape(*shape, 2, 2),
-        "candidate_mode": candidates[..., 4],
+        "candidate_mode": np.nan_to_num(candidates[..., 4]),
         "candidate_cost": np.array([c.costs.numpy() for c in looked]).reshape(shape[:3]),
         "candidate_weight": np.array([c.weights.numpy() for c in looked]).reshape(shape[:3]),
     }

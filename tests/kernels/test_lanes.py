@@ -4,6 +4,15 @@ import os
 import subprocess
 import sys
 
+import pytest
+import torch
+import warp as wp
+
+from piegraph_cli.dynamics.egnn import EGNN, Rest
+from piegraph_cli.kernels import network, springs
+from tests.kernels.test_network import case
+from tests.kernels.test_springs import GRAPH, scene
+
 CODE = """
 import logging, sys
 logging.basicConfig(format="%(message)s")
@@ -40,3 +49,24 @@ def test_without_a_cache_folder_kernels_are_compiled_and_it_is_said(tmp_path):
     assert done.stdout.strip() == "True"
     assert "no writable cache" in done.stderr
     assert "XDG_CACHE_HOME" in done.stderr
+
+
+def test_the_same_source_compiles_for_cuda(tmp_path):
+    terms = springs._Terms(True, True, True, True)
+    pair = springs._kernels(1, terms)
+    for number, kernel in enumerate((pair.guide, pair.push, network._kernel(1, True))):
+        wp.compile_aot_module(kernel.module, arch=80, module_dir=str(tmp_path / str(number)))
+        assert list((tmp_path / str(number)).glob("*.sm80.*"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_cuda_agrees_with_the_cpu():
+    start, goal, weights = scene(100)
+    found = springs.guide(start.cuda(), goal.cuda(), GRAPH, springs.GuidanceParams(tolerance=0), weights.cuda())
+    true = springs.guide(start, goal, GRAPH, springs.GuidanceParams(tolerance=0), weights)
+    assert float((found.cpu() - true).abs().max()) < 1e-5
+    model = EGNN(12, 32, 4, True, True)
+    rest, states, strokes = case(0, 100, 50, model)
+    on_cpu = network.NetworkKernel(model, Rest.of(rest[None], 12))(states, strokes)
+    on_gpu = network.NetworkKernel(model, Rest.of(rest[None].cuda(), 12))(states.cuda(), strokes.cuda())
+    assert float((on_gpu.cpu() - on_cpu).abs().max()) < 1e-5

@@ -111,7 +111,8 @@ def test_a_search_finds_the_strokes_that_carry_the_object_to_its_goal(space, pla
     assert plan.cost < 0.015
     assert plan.strokes.shape == (horizon, 7)
     assert plan.predicted.shape == (horizon, 36, 3)
-    assert set(plan.candidates.strokes[..., 4].unique().tolist()) == set(map(float, space.modes))
+    modes = plan.candidates.strokes[..., 4]
+    assert set(modes[modes.isfinite()].unique().tolist()) == set(map(float, space.modes))
 
 
 def test_the_mode_that_works_is_chosen():
@@ -157,6 +158,21 @@ def test_the_greedy_planner_carries_the_worst_particle_to_its_place():
     plan = put_worst_right(SQUARE, goal, make_cost("distance", goal, 36))
     torch.testing.assert_close(plan.strokes[0, :4], torch.cat([SQUARE[7, :2], goal[7, :2]]))
     assert plan.strokes[0, 4] == PICK
+
+
+def test_cem_ends_when_its_elites_are_as_good_as_the_best():
+    cost = make_cost("distance", SQUARE + torch.tensor([0.06, 0.02, 0.0]), 36)
+    full, early = (search(SQUARE, carried, cost, SPACE, samples=100, cem_iterations=30, converged=c) for c in (0, 1e-3))
+    assert full.candidates.costs.isfinite().all()
+    count = int(early.candidates.costs.isfinite().all(1).sum())
+    assert 1 < count < 30
+    torch.testing.assert_close(early.candidates.costs[:count], full.candidates.costs[:count])
+    assert early.candidates.costs[count:].isnan().all()
+    assert not early.candidates.weights[count:].any()
+    assert early.cost < full.cost + 1e-3
+    elites = early.candidates.weights > 0
+    assert float(early.candidates.costs[elites][-10:].max()) - early.cost < 1e-3
+    assert search(SQUARE + 5.0, carried, cost, SPACE, samples=20, converged=1e9) is None
 
 
 def test_a_plan_follows_from_its_seed():

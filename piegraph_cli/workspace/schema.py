@@ -38,9 +38,9 @@ _STEPS = {
     "distance": Field("step", "m", "float64", nan=True),
     "blocked": Field("step", "1", "bool"),
     "seconds": Field("step", "s", "float64"),
-    "candidate_stroke": Field("step,iteration,candidate,horizon,start_end,xy", "m", "float32"),
+    "candidate_stroke": Field("step,iteration,candidate,horizon,start_end,xy", "m", "float32", nan=True),
     "candidate_mode": Field("step,iteration,candidate,horizon", "0 push, 1 pick", "uint8"),
-    "candidate_cost": Field("step,iteration,candidate", "m", "float32"),
+    "candidate_cost": Field("step,iteration,candidate", "m", "float32", nan=True),
     "candidate_weight": Field("step,iteration,candidate", "1", "float32"),
 }
 

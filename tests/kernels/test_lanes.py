@@ -10,8 +10,8 @@ import warp as wp
 
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.kernels import network, springs
-from tests.kernels.test_network import case
-from tests.kernels.test_springs import GRAPH, scene
+from tests.kernels.test_network_kernel import case
+from tests.kernels.test_spring_kernel import GRAPH, scene
 
 CODE = """
 import logging, sys

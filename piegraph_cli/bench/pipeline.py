@@ -45,7 +45,14 @@ def plan_rows() -> Iterator[Row]:
     for samples, iterations in ((100, 5), (500, 30)):
         for model in ("piegraph", "piegraph-ng"):
             for cores in core_counts():
-                yield _plan(state, network, model, samples, iterations, cores)
+                yield _plan(
+                    state,
+                    network,
+                    PlanParams(samples=samples, cem_iterations=iterations, model=model, converged=0),
+                    cores,
+                )
+    default = PlanParams(samples=500, cem_iterations=30)
+    yield _plan(state, network, default, core_counts()[-1])
 
 
 def _learned_block() -> tuple[Tensor, EGNN]:
@@ -69,11 +76,10 @@ def _learned_block() -> tuple[Tensor, EGNN]:
     return torch.as_tensor(rest), trainer.network
 
 
-def _plan(state: Tensor, network: EGNN, model: str, samples: int, iterations: int, cores: int) -> Row:
-    params = PlanParams(samples=samples, cem_iterations=iterations, model=model)
+def _plan(state: Tensor, network: EGNN, params: PlanParams, cores: int) -> Row:
     space = stroke_space(state, params, (PUSH,))
     cost = make_cost("distance", state + torch.tensor([0.1, 0.05, 0.0]), len(state))
-    predict, slow = make_predict(model, network, state, params), _reference(model, network, state, params)
+    predict, slow = make_predict(params.model, network, state, params), _reference(network, state, params)
 
     def plan(with_: Predict):
         found = plan_strokes(state, with_, cost, space, params, torch.Generator().manual_seed(0))
@@ -81,7 +87,7 @@ def _plan(state: Tensor, network: EGNN, model: str, samples: int, iterations: in
         return found
 
     strokes = plan(predict).candidates.strokes[0, :, 0]
-    states = state.expand(samples, -1, -1)
+    states = state.expand(len(strokes), -1, -1)
     error = float((predict(states, strokes) - slow(states, strokes)).norm(dim=-1).mean(1).max())
     with on_cores(cores):
         seconds = median_seconds(lambda: plan(predict), 5)
@@ -89,18 +95,19 @@ def _plan(state: Tensor, network: EGNN, model: str, samples: int, iterations: in
     if cores == 1:
         plan(slow)
     reference = time.perf_counter() - begin if cores == 1 else None
-    name = f"{samples} x {iterations}, {'guided' if model == 'piegraph' else 'not guided'}"
+    name = f"{params.samples} x {params.cem_iterations}, {'guided' if params.model == 'piegraph' else 'not guided'}"
+    name += ", may end early" if params.converged else ""
     return Row("plan", name, seconds, cores, check("plan", error, AT_REST), reference_seconds=reference)
 
 
-def _reference(model: str, network: EGNN, state: Tensor, params: PlanParams) -> Predict:
+def _reference(network: EGNN, state: Tensor, params: PlanParams) -> Predict:
     rest, graph = Rest.of(state[None], network.neighbors), build_springs(state.numpy(), params.spring_radius)
 
     @torch.no_grad()
     def predict(positions: Tensor, strokes: Tensor) -> Tensor:
         pairs = zip(positions.split(25), strokes.split(25), strict=True)
         setpoint = torch.cat([network(x, s, rest.expand(len(x))) for x, s in pairs])
-        return guide(positions, setpoint, graph, params) if model == "piegraph" else setpoint
+        return guide(positions, setpoint, graph, params) if params.model == "piegraph" else setpoint
 
     return predict
 
@@ -157,7 +164,7 @@ def perception_rows(folder: Path) -> Iterator[Row]:
         output = stage.load()(inputs, run.params(stage, names[0]), context)
         seconds = time.perf_counter() - begin
         stored = read_artifact(run.path(stage.writes, names[0]), stage.writes)
-        same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in output.arrays.items())
+        same = all(np.allclose(stored[k], v, 1e-3, 1e-4, equal_nan=True) for k, v in output.arrays.items())
         frames = len(output.arrays["time"]) if "time" in output.arrays else len(output.arrays["positions"])
         case = f"{name}, a frame" + ("" if same else ", not as stored")
         yield Row("perception", case, seconds / frames)

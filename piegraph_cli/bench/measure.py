@@ -13,15 +13,19 @@ import torch
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.kernels import lanes
-from piegraph_cli.kernels.peak import ACCUMULATORS, multiply_add
+from piegraph_cli.kernels.peak import ACCUMULATORS, copy_back_and_forth, multiply_add
 
 REPEATS = 9
 WITHIN = 0.2
 """Seconds that one measurement lasts at most, in repeats of what is measured; slower things are measured fewer times."""
 
 FMA_STEPS = 4_000_000
-COPIED = {"cache": 1 << 15, "memory": 1 << 26}
-"""Floats copied: 128 KB, which the second cache holds, and 256 MB, which none does."""
+COPY_STEPS = 10_000
+COPIED = 1 << 11
+"""Floats of each row that is copied within the first cache: 8 KB."""
+
+IN_MEMORY = 1 << 26
+"""Floats copied that no cache holds: 256 MB."""
 
 
 @dataclass(frozen=True)
@@ -135,13 +139,28 @@ def machine_rows() -> list[Row]:
     for cores in core_counts():
         rate = peak(cores)
         rows.append(Row("machine", "fused multiply-adds, 1 GFlop", 1e9 / rate, cores, flop=1e9, share=1.0))
-    for where, floats in COPIED.items():
-        source, target = torch.ones(floats), torch.empty(floats)
-        seconds = median_seconds(functools.partial(target.copy_, source))
-        rows.append(
-            Row("machine", f"copy in {where}, {8 * floats / seconds / 1e9:.0f} GB/s", seconds, bytes=8.0 * floats)
-        )
+    rows.append(_copy("copy in the first cache", cache_rate()))
+    source, target = torch.ones(IN_MEMORY), torch.empty(IN_MEMORY)
+    seconds = median_seconds(functools.partial(target.copy_, source))
+    rows.append(_copy("copy in memory", 8 * IN_MEMORY / seconds))
     return rows
+
+
+def _copy(what: str, rate: float) -> Row:
+    return Row("machine", f"{what}, {rate / 1e9:.0f} GB/s", 1e9 / rate, bytes=1e9)
+
+
+@functools.cache
+def cache_rate() -> float:
+    """Bytes a second that one core loads and stores when it copies within its first cache."""
+    width = 128
+    launch = lanes.Launch(width, torch.device("cpu"), width)
+    rows = [launch.scratch(COPIED // width) for _ in range(2)]
+    for row in rows:
+        row.zero_()
+    with on_cores(1):
+        seconds = min(measure(lambda: launch.run(copy_back_and_forth(width), [*rows, COPY_STEPS]), REPEATS))
+    return 2.0 * 8 * COPIED * COPY_STEPS / seconds
 
 
 def core_counts() -> list[int]:

@@ -1,4 +1,4 @@
-"""What the arithmetic of a core can do at most: nothing but multiply-adds, in registers."""
+"""What a core can do at most: nothing but multiply-adds in registers, nothing but copies in its first cache."""
 
 import functools
 
@@ -51,5 +51,24 @@ def multiply_add(width: int) -> wp.Kernel:
         values[slot, 7] = h
         values[slot, 8] = i
         values[slot, 9] = j
+
+    return loop
+
+
+@functools.cache
+def copy_back_and_forth(width: int) -> wp.Kernel:
+    """A kernel that copies rows of vectors of `width` floats to others and, reversed, back."""
+    vec = vector(width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def loop(
+        first_group: int, first_slot: int, apart: int, a: wp.array2d(dtype=vec), b: wp.array2d(dtype=vec), steps: int
+    ):
+        slot = first_slot + wp.tid() * apart
+        for _ in range(steps):
+            for i in range(a.shape[1]):
+                b[slot, i] = a[slot, i]
+            for i in range(a.shape[1]):
+                a[slot, i] = b[slot, a.shape[1] - 1 - i]
 
     return loop

@@ -11,7 +11,7 @@ import pytest
 from piegraph_cli.stages import STAGES
 from tests.cli import piegraph, piegraph_json
 
-COMMANDS = [*STAGES, "run", "status", "report", "calibrate", "view", "doctor"]
+COMMANDS = [*STAGES, "run", "status", "report", "calibrate", "view", "doctor", "bench"]
 
 
 def test_help_imports_nothing_heavy():

@@ -10,9 +10,9 @@ from torch import Tensor
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores, peak
 from piegraph_cli.dynamics.action import FEATURES, make_strokes
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.kernels import springs
-from piegraph_cli.kernels.network import NetworkKernel
+from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.params import GuidanceParams, TrainParams
+from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import SpringGraph, build_springs, stability_bound
 
@@ -75,9 +75,9 @@ def _springs(batch: int, particles: int, count: int, cores: int = 1, reference: 
     setpoint = torch.as_tensor(moved.astype(np.float32))
     few = slice(min(batch, CHECKED))
     true = guide(state[few].double(), setpoint[few].double(), graph, params)
-    error = float((springs.guide(state[few], setpoint[few], graph, params) - true).abs().max())
+    error = float((spring_kernel.guide(state[few], setpoint[few], graph, params) - true).abs().max())
     with on_cores(cores):
-        seconds = median_seconds(lambda: springs.guide(state, setpoint, graph, params))
+        seconds = median_seconds(lambda: spring_kernel.guide(state, setpoint, graph, params))
     joined = len(graph.pairs)
     case = f"{batch} x {particles} x {joined} springs"
     flop = batch * params.iterations * (21.0 * joined + 25.0 * particles)

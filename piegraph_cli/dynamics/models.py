@@ -7,10 +7,10 @@ import torch
 
 from piegraph_cli.dynamics.action import check_strokes
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.kernels.network import NetworkKernel
-from piegraph_cli.kernels.springs import guide
+from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.params import PredictionParams
 from piegraph_cli.physics.rigid import rigid_projection
+from piegraph_cli.physics.spring_kernel import guide
 from piegraph_cli.physics.springs import build_springs
 
 Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]

@@ -1,1 +1,1 @@
-"""Compiled kernels, candidates in SIMD lanes: the same results as the readable torch references, many times faster."""
+"""What compiled kernels share: how they are started, kept and launched, with candidates in SIMD lanes."""

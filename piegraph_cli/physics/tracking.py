@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.kernels.springs import drive, guide
 from piegraph_cli.params import GuidanceParams, TrackParams
 from piegraph_cli.physics.association import SoftAssignment, align, misfit, thin
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.simulation import check_stability
+from piegraph_cli.physics.spring_kernel import drive, guide
 from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
 
 FEWEST_POINTS = 20  # a cloud of fewer says too little about a pose: the frame counts as unseen

@@ -6,8 +6,8 @@ import torch
 from piegraph_cli.bench import kernels, pipeline
 from piegraph_cli.bench.measure import Row, table
 from piegraph_cli.bench.run import draw_roofline
+from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.errors import DataError
-from piegraph_cli.kernels.network import NetworkKernel
 from piegraph_cli.params import TrainParams
 from tests.cli import piegraph, piegraph_json
 
@@ -26,8 +26,8 @@ def test_names_and_runs_that_do_not_exist(tmp_path):
 
 
 def test_wrong_springs_are_not_timed(monkeypatch):
-    right = kernels.springs.guide
-    monkeypatch.setattr(kernels.springs, "guide", lambda *a: right(*a) + 1e-4)
+    right = kernels.spring_kernel.guide
+    monkeypatch.setattr(kernels.spring_kernel, "guide", lambda *a: right(*a) + 1e-4)
     with pytest.raises(DataError, match=r"bench sms: deviates from its reference by 1.0\de-04 m"):
         next(kernels.spring_rows())
 

@@ -8,20 +8,21 @@ import pytest
 import torch
 import warp as wp
 
+from piegraph_cli.dynamics import network_kernel
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.kernels import network, springs
-from tests.kernels.test_network_kernel import case
-from tests.kernels.test_spring_kernel import GRAPH, scene
+from piegraph_cli.physics import spring_kernel
+from tests.dynamics.test_network_kernel import case
+from tests.physics.test_spring_kernel import GRAPH, scene
 
 CODE = """
 import logging, sys
 logging.basicConfig(format="%(message)s")
 import torch
-from piegraph_cli.kernels import springs
+from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.springs import build_springs
 graph = build_springs(torch.rand(9, 3).numpy(), 0.5)
 start = torch.rand(1, 9, 3)
-print(bool(torch.isfinite(springs.guide(start, start, graph, springs.GuidanceParams(stiffness=0.01))).all()))
+print(bool(torch.isfinite(spring_kernel.guide(start, start, graph, spring_kernel.GuidanceParams(stiffness=0.01))).all()))
 """
 
 
@@ -52,9 +53,9 @@ def test_without_a_cache_folder_kernels_are_compiled_and_it_is_said(tmp_path):
 
 
 def test_the_same_source_compiles_for_cuda(tmp_path):
-    terms = springs._Terms(True, True, True, True)
-    pair = springs._kernels(1, terms)
-    for number, kernel in enumerate((pair.guide, pair.push, network._kernel(1, True))):
+    terms = spring_kernel._Terms(True, True, True, True)
+    pair = spring_kernel._kernels(1, terms)
+    for number, kernel in enumerate((pair.guide, pair.push, network_kernel._kernel(1, True))):
         wp.compile_aot_module(kernel.module, arch=80, module_dir=str(tmp_path / str(number)))
         assert list((tmp_path / str(number)).glob("*.sm80.*"))
 
@@ -62,11 +63,13 @@ def test_the_same_source_compiles_for_cuda(tmp_path):
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_cuda_agrees_with_the_cpu():
     start, goal, weights = scene(100)
-    found = springs.guide(start.cuda(), goal.cuda(), GRAPH, springs.GuidanceParams(tolerance=0), weights.cuda())
-    true = springs.guide(start, goal, GRAPH, springs.GuidanceParams(tolerance=0), weights)
+    found = spring_kernel.guide(
+        start.cuda(), goal.cuda(), GRAPH, spring_kernel.GuidanceParams(tolerance=0), weights.cuda()
+    )
+    true = spring_kernel.guide(start, goal, GRAPH, spring_kernel.GuidanceParams(tolerance=0), weights)
     assert float((found.cpu() - true).abs().max()) < 1e-5
     model = EGNN(12, 32, 4, True, True)
     rest, states, strokes = case(0, 100, 50, model)
-    on_cpu = network.NetworkKernel(model, Rest.of(rest[None], 12))(states, strokes)
-    on_gpu = network.NetworkKernel(model, Rest.of(rest[None].cuda(), 12))(states.cuda(), strokes.cuda())
+    on_cpu = network_kernel.NetworkKernel(model, Rest.of(rest[None], 12))(states, strokes)
+    on_gpu = network_kernel.NetworkKernel(model, Rest.of(rest[None].cuda(), 12))(states.cuda(), strokes.cuda())
     assert float((on_gpu.cpu() - on_cpu).abs().max()) < 1e-5

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.kernels import lanes, springs
+from piegraph_cli.kernels import lanes
 from piegraph_cli.params import GuidanceParams
-from piegraph_cli.physics import simulation
+from piegraph_cli.physics import simulation, spring_kernel
 from piegraph_cli.physics.simulation import PushParams
 from piegraph_cli.physics.springs import build_springs
 from tests.physics.objects import particles, turned
@@ -38,7 +38,7 @@ def test_guidance_agrees_with_the_reference(terms):
     goal[:, :, 2] -= 0.01  # some is pressed into the table
     params = GuidanceParams(**FIXED, **terms)
     true = simulation.guide(start.double(), goal.double(), GRAPH, params, weights.double())
-    found = springs.guide(start, goal, GRAPH, params, weights)
+    found = spring_kernel.guide(start, goal, GRAPH, params, weights)
     assert found.dtype == torch.float32
     assert float((found - true).abs().max()) < 1e-5
     if terms:
@@ -50,7 +50,7 @@ def test_guidance_agrees_with_the_reference(terms):
 def test_any_batch(batch):
     start, goal, _ = scene(batch, batch)
     true = simulation.guide(start.double(), goal.double(), GRAPH, GuidanceParams(**FIXED))
-    assert float((springs.guide(start, goal, GRAPH, GuidanceParams(**FIXED)) - true).abs().max()) < 1e-5
+    assert float((spring_kernel.guide(start, goal, GRAPH, GuidanceParams(**FIXED)) - true).abs().max()) < 1e-5
 
 
 def test_many_particles_and_a_graph_of_two_parts():
@@ -61,22 +61,22 @@ def test_many_particles_and_a_graph_of_two_parts():
     start = torch.as_tensor(rest[None].astype(np.float32))
     goal = start + 0.002 * torch.randn(1, 400, 3, generator=torch.Generator().manual_seed(0))
     true = simulation.guide(start.double(), goal.double(), graph, params)
-    assert float((springs.guide(start, goal, graph, params) - true).abs().max()) < 1e-5
+    assert float((spring_kernel.guide(start, goal, graph, params) - true).abs().max()) < 1e-5
 
 
 def test_a_particle_without_springs_follows_the_controller():
     graph = build_springs(np.zeros((1, 3)), 0.05)
     start, goal = torch.zeros(1, 1, 3), torch.full((1, 1, 3), 0.1)
-    assert float((springs.guide(start, goal, graph, GuidanceParams()) - goal).abs().max()) < 1e-3
+    assert float((spring_kernel.guide(start, goal, graph, GuidanceParams()) - goal).abs().max()) < 1e-3
 
 
 def test_a_group_at_rest_stops_whatever_the_others_do():
-    start, goal, _ = scene(2 * springs.LANES)
-    goal[: springs.LANES] = start[: springs.LANES] + 1e-4
-    alone = springs.guide(start[: springs.LANES], goal[: springs.LANES], GRAPH)
-    together = springs.guide(start, goal, GRAPH)
-    assert torch.equal(together[: springs.LANES], alone)
-    true = simulation.guide(start[: springs.LANES].double(), goal[: springs.LANES].double(), GRAPH)
+    start, goal, _ = scene(2 * spring_kernel.LANES)
+    goal[: spring_kernel.LANES] = start[: spring_kernel.LANES] + 1e-4
+    alone = spring_kernel.guide(start[: spring_kernel.LANES], goal[: spring_kernel.LANES], GRAPH)
+    together = spring_kernel.guide(start, goal, GRAPH)
+    assert torch.equal(together[: spring_kernel.LANES], alone)
+    true = simulation.guide(start[: spring_kernel.LANES].double(), goal[: spring_kernel.LANES].double(), GRAPH)
     assert float((alone - true).abs().max()) < 1e-6, "stops in the same iteration as the reference"
     assert float((alone - simulation.guide(start[:32], goal[:32], GRAPH, GuidanceParams(**FIXED))).abs().max()) > 1e-6
 
@@ -87,7 +87,7 @@ def test_driving_takes_up_and_returns_the_velocity():
     given = velocity.clone()
     params = GuidanceParams(iterations=10)
     true = simulation.drive(*(a.double() for a in (start, velocity, goal)), GRAPH, params, weights.double())
-    found = springs.drive(start, velocity, goal, GRAPH, params, weights)
+    found = spring_kernel.drive(start, velocity, goal, GRAPH, params, weights)
     assert torch.equal(velocity, given)
     for a, b in zip(found, true, strict=True):
         assert float((a - b).abs().max()) < 1e-6
@@ -101,7 +101,7 @@ def test_a_pusher_agrees_with_the_reference(friction):
     path = start.mean(1, keepdim=True)[..., :2] + travel * torch.stack([angle.cos(), angle.sin()], -1)[:, None]
     params = PushParams(friction=friction, gravity=1e-5, radius=0.025)
     true = simulation.push(start.double(), path.double(), GRAPH, params)
-    found = springs.push(start, path, GRAPH, params)
+    found = spring_kernel.push(start, path, GRAPH, params)
     assert float((true - start).norm(dim=-1).mean()) > 0.01, "the pusher met the object"
     assert float((found - true).abs().max()) < 1e-5
     inside = (found[:, :, :2] - path[:, -1:]).norm(dim=-1) < params.radius - 1e-5
@@ -116,16 +116,16 @@ def test_the_number_of_cores_changes_nothing(monkeypatch):
 
 def _guide_on(monkeypatch, cores, start, goal):
     monkeypatch.setattr(lanes, "cores", lambda: cores)
-    return springs.guide(start, goal, GRAPH)
+    return spring_kernel.guide(start, goal, GRAPH)
 
 
 def test_bad_input_is_refused_as_by_the_reference():
     start, goal, _ = scene(2)
     with pytest.raises(DataError, match="not finite"):
-        springs.guide(start, goal * np.nan, GRAPH)
+        spring_kernel.guide(start, goal * np.nan, GRAPH)
     with pytest.raises(DataError, match="for 50 particles"):
-        springs.guide(start[:, :-1], goal[:, :-1], GRAPH)
+        spring_kernel.guide(start[:, :-1], goal[:, :-1], GRAPH)
     with pytest.raises(UsageError, match="unstable"):
-        springs.guide(start, goal, GRAPH, GuidanceParams(stiffness=1.0))
+        spring_kernel.guide(start, goal, GRAPH, GuidanceParams(stiffness=1.0))
     with pytest.raises(UsageError, match="further than its radius"):
-        springs.push(start, torch.tensor([[[0.0, 0.0], [0.5, 0.0]]]).expand(2, -1, -1), GRAPH)
+        spring_kernel.push(start, torch.tensor([[[0.0, 0.0], [0.5, 0.0]]]).expand(2, -1, -1), GRAPH)

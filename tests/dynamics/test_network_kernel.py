@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.kernels.network import NetworkKernel
+from piegraph_cli.dynamics.network_kernel import NetworkKernel
 
 
 def case(seed: int, batch: int, particles: int, network: EGNN):

@@ -59,7 +59,7 @@ _TABLE = (
         "dataset:run",
         "cut strokes, pair frames, split",
     ),
-    Stage("train", ("dataset",), "model", "run", params.TrainParams, 2, "train:run", "train the network"),
+    Stage("train", ("dataset",), "model", "run", params.TrainParams, 3, "train:run", "train the network"),
     Stage(
         "evaluate",
         ("dataset", "model"),

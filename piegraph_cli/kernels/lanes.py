@@ -114,7 +114,9 @@ class Launch:
             stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
             wp.launch(kernel, self.groups, [0, 0, 1, *arguments], device=device, stream=stream)
             return
-        kernel.module.load(device)  # here, so that threads do not compile it twice
+        kernel.module.load(
+            device, block_dim=1
+        )  # as launches on a CPU do; here, so that threads do not compile it twice
         edges = [w * self.groups // self.slots for w in range(self.slots + 1)]
         commands = [  # the work of Python is done first: threads that wait for each other there lose milliseconds
             wp.launch(kernel, edges[w + 1] - edges[w], [edges[w], w, 0, *arguments], device=device, record_cmd=True)

@@ -405,10 +405,12 @@ def bench(
 
     Every figure comes after a check of the result, beside the machine's measured peak and the reference in PyTorch.
     """
+    from tqdm import tqdm
+
     from piegraph_cli.bench.measure import table
     from piegraph_cli.bench.run import draw_roofline, run_benchmarks
 
-    rows = list(run_benchmarks(list(subjects or ()), run))
+    rows = list(tqdm(run_benchmarks(list(subjects or ()), run), desc="bench", unit=" rows", leave=False, disable=None))
     if roofline is not None:
         draw_roofline(rows).savefig(roofline, dpi=150)
     _emit(_Report({"rows": [row.as_dict() for row in rows]}, table(rows)), as_json)

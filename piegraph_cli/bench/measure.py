@@ -58,7 +58,7 @@ class Row:
 def table(rows: list[Row]) -> list[str]:
     """Rows as lines for people."""
     lines = [
-        f"{'':34s}{'cores':>6s}{'median':>11s}{'error':>11s}{'GFlop/s':>9s}{'of peak':>9s}{'reference':>11s}{'ratio':>8s}"
+        f"{'':44s}{'cores':>6s}{'median':>11s}{'error':>11s}{'GFlop/s':>9s}{'of peak':>9s}{'reference':>11s}{'ratio':>8s}"
     ]
     for row in rows:
         values = row.as_dict()
@@ -69,7 +69,7 @@ def table(rows: list[Row]) -> list[str]:
         ratio = f"{values['ratio']:.1f}x" if "ratio" in values else ""
         name = f"{row.subject} {row.case}"
         lines.append(
-            f"{name:34s}{row.cores:6d}{_time(row.seconds):>11s}{error:>11s}{rate:>9s}{share:>9s}{reference:>11s}{ratio:>8s}"
+            f"{name:44s}{row.cores:6d}{_time(row.seconds):>11s}{error:>11s}{rate:>9s}{share:>9s}{reference:>11s}{ratio:>8s}"
         )
     return lines
 

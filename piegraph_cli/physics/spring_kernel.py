@@ -31,6 +31,20 @@ TINY = wp.constant(SHORTEST)
 EVERY = wp.constant(CHECK_EVERY)
 
 
+@wp.struct
+class Springs:
+    """A graph as the kernels read it: each spring belongs to the earlier of its particles."""
+
+    order: wp.array(dtype=wp.int32)
+    """[N] the particle that comes at each place."""
+    first: wp.array(dtype=wp.int32)
+    """[N + 1] where the springs of each begin."""
+    second: wp.array(dtype=wp.int32)
+    """[S] the later particle of each spring."""
+    rest: wp.array(dtype=wp.float32)
+    """[S] metres."""
+
+
 @dataclass(frozen=True)
 class _Terms:
     """Which terms a kernel has at all: a test in its inner loop costs more than the term it skips."""
@@ -68,9 +82,7 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         i: int,
         x: wp.array2d(dtype=vec),
         force: wp.array2d(dtype=vec),
-        first: wp.array(dtype=wp.int32),
-        second: wp.array(dtype=wp.int32),
-        rest: wp.array(dtype=wp.float32),
+        graph: Springs,
         stiffness: float,
     ):
         """The sum of all spring forces on particle i; later particles get their share, that of i is set back to zero."""
@@ -80,13 +92,13 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         fx = force[i, 0]
         fy = force[i, 1]
         fz = force[i, 2]
-        for s in range(first[i], first[i + 1]):
-            j = second[s]
+        for s in range(graph.first[i], graph.first[i + 1]):
+            j = graph.second[s]
             dx = x[j, 0] - xi
             dy = x[j, 1] - yi
             dz = x[j, 2] - zi
             square = wp.cw_mul(dx, dx) + wp.cw_mul(dy, dy) + wp.cw_mul(dz, dz)
-            strain = vec(stiffness) - inverse_root(wp.max(square, tiny2)) * (stiffness * rest[s])
+            strain = vec(stiffness) - inverse_root(wp.max(square, tiny2)) * (stiffness * graph.rest[s])
             if wp.static(tension_only):
                 strain = wp.max(strain, zero)
             px, py, pz = wp.cw_mul(strain, dx), wp.cw_mul(strain, dy), wp.cw_mul(strain, dz)
@@ -127,10 +139,7 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         weights: wp.array3d(dtype=wp.float32),
         velocity: wp.array3d(dtype=wp.float32),
         out: wp.array3d(dtype=wp.float32),
-        order: wp.array(dtype=wp.int32),
-        first: wp.array(dtype=wp.int32),
-        second: wp.array(dtype=wp.int32),
-        rest: wp.array(dtype=wp.float32),
+        graph: Springs,
         states: wp.array3d(dtype=vec),
         velocities: wp.array3d(dtype=vec),
         forces: wp.array3d(dtype=vec),
@@ -153,20 +162,20 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         force = forces[slot]
         target = targets[slot]
         summed = sums[slot]
-        particles = order.shape[0]
+        particles = graph.order.shape[0]
         for i in range(particles):
             for c in range(3):
-                x[i, c] = load(positions, group, order[i], c)
-                v[i, c] = load(velocity, group, order[i], c)
-                target[i, c] = load(setpoint, group, order[i], c)
+                x[i, c] = load(positions, group, graph.order[i], c)
+                v[i, c] = load(velocity, group, graph.order[i], c)
+                target[i, c] = load(setpoint, group, graph.order[i], c)
                 force[i, c] = zero
                 summed[i, c] = zero
-            target[i, 3] = load(weights, group, order[i], 0)
+            target[i, 3] = load(weights, group, graph.order[i], 0)
         for iteration in range(1, iterations + 1):
             looks = iteration % EVERY == 0
             largest = zero
             for i in range(particles):
-                fx, fy, fz = springs(i, x, force, first, second, rest, stiffness)
+                fx, fy, fz = springs(i, x, force, graph, stiffness)
                 vx = v[i, 0]
                 vy = v[i, 1]
                 vz = v[i, 2]
@@ -217,8 +226,8 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
                 break
         for i in range(particles):
             for c in range(3):
-                store(out, group, order[i], c, x[i, c])
-                store(velocity, group, order[i], c, v[i, c])
+                store(out, group, graph.order[i], c, x[i, c])
+                store(velocity, group, graph.order[i], c, v[i, c])
 
     @wp.kernel(**KERNEL)
     def push(
@@ -228,10 +237,7 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         positions: wp.array3d(dtype=wp.float32),
         path: wp.array3d(dtype=wp.float32),
         out: wp.array3d(dtype=wp.float32),
-        order: wp.array(dtype=wp.int32),
-        first: wp.array(dtype=wp.int32),
-        second: wp.array(dtype=wp.int32),
-        rest: wp.array(dtype=wp.float32),
+        graph: Springs,
         states: wp.array3d(dtype=vec),
         velocities: wp.array3d(dtype=vec),
         forces: wp.array3d(dtype=vec),
@@ -246,16 +252,16 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         x = states[slot]
         v = velocities[slot]
         force = forces[slot]
-        particles = order.shape[0]
+        particles = graph.order.shape[0]
         for i in range(particles):
             for c in range(3):
-                x[i, c] = load(positions, group, order[i], c)
+                x[i, c] = load(positions, group, graph.order[i], c)
                 v[i, c] = zero
                 force[i, c] = zero
         for t in range(path.shape[1]):
             cx, cy = load(path, group, t, 0), load(path, group, t, 1)
             for i in range(particles):
-                fx, fy, fz = springs(i, x, force, first, second, rest, stiffness)
+                fx, fy, fz = springs(i, x, force, graph, stiffness)
                 vx = (v[i, 0] + fx) * damping
                 vy = (v[i, 1] + fy) * damping
                 vz = (v[i, 2] + fz - vec(gravity)) * damping
@@ -287,25 +293,24 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
                 v[i, 2] = vz
         for i in range(particles):
             for c in range(3):
-                store(out, group, order[i], c, x[i, c])
+                store(out, group, graph.order[i], c, x[i, c])
 
     return _Kernels(guide, push)
 
 
 @functools.lru_cache(maxsize=32)
-def _packed(graph: SpringGraph, device: torch.device) -> list[wp.array]:
-    """The graph as the kernels read it: the order of particles, and by particle the springs to later ones."""
+def _packed(graph: SpringGraph, device: torch.device) -> Springs:
     start_warp()
     order = bandwidth_order(graph.pairs, graph.particles)
-    place = np.argsort(order)
-    pairs = np.sort(place[graph.pairs], axis=1)
+    pairs = np.sort(np.argsort(order)[graph.pairs], axis=1)
     by_first = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    springs = Springs()
+    springs.order = wp.array(order.astype(np.int32), dtype=wp.int32, device=str(device))
     first = np.searchsorted(pairs[by_first, 0], np.arange(graph.particles + 1))
-    integers = [np.ascontiguousarray(a, np.int32) for a in (order, first, pairs[by_first, 1])]
-    rest = graph.rest_length[by_first].astype(np.float32)
-    return [wp.array(a, dtype=wp.int32, device=str(device)) for a in integers] + [
-        wp.array(rest, dtype=wp.float32, device=str(device))
-    ]
+    springs.first = wp.array(first.astype(np.int32), dtype=wp.int32, device=str(device))
+    springs.second = wp.array(pairs[by_first, 1].astype(np.int32), dtype=wp.int32, device=str(device))
+    springs.rest = wp.array(graph.rest_length[by_first].astype(np.float32), dtype=wp.float32, device=str(device))
+    return springs
 
 
 def guide(
@@ -347,7 +352,7 @@ def _drive(
         velocity,
         out,
     ]
-    arguments += _packed(graph, positions.device)
+    arguments += [_packed(graph, positions.device)]
     arguments += [launch.scratch(size, 3) for _ in range(3)] + [launch.scratch(size, 4), launch.scratch(size, 3)]
     arguments += [params.stiffness, params.damping, params.gain, params.integral, params.integral_limit]
     arguments += [params.derivative, params.friction, params.iterations, params.tolerance]
@@ -364,7 +369,7 @@ def push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams
     stiffness, damping = check_push(positions, path, graph, params)
     launch = Launch(len(positions), positions.device, LANES)
     out = torch.empty_like(positions)
-    arguments: list[Any] = [positions.contiguous(), path.contiguous(), out, *_packed(graph, positions.device)]
+    arguments: list[Any] = [positions.contiguous(), path.contiguous(), out, _packed(graph, positions.device)]
     arguments += [launch.scratch(graph.particles, 3) for _ in range(3)]
     arguments += [stiffness, damping, params.friction, params.gravity, params.radius]
     launch.run(_kernels(launch.lanes, _Terms(params.friction > 0)).push, arguments)

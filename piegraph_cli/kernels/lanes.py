@@ -24,6 +24,7 @@ import warp as wp
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from piegraph_cli.errors import MissingError
 from piegraph_cli.process import quiet_native
 from piegraph_cli.weights import cache_folder
 
@@ -75,6 +76,21 @@ def _workers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), thread_name_prefix="kernels")
 
 
+def _load(kernel: wp.Kernel) -> None:
+    """Compile a kernel, or load it compiled, as a launch on the CPU would; before that, so that threads do not do it twice.
+
+    Raises `MissingError` naming the cache, where Warp raises what it will: for a full disk, or files cut short.
+    """
+    try:
+        kernel.module.load("cpu", block_dim=1)
+    except Exception as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        hint = "delete that folder, and see that its disk has space"
+        raise MissingError(
+            f"kernels cannot be compiled or loaded: {reason}", wp.config.kernel_cache_dir, hint
+        ) from error
+
+
 @dataclass(frozen=True)
 class Launch:
     """How a batch of candidates is spread over a device, and the scratch memory that it needs there."""
@@ -114,9 +130,7 @@ class Launch:
             stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
             wp.launch(kernel, self.groups, [0, 0, 1, *arguments], device=device, stream=stream)
             return
-        kernel.module.load(
-            device, block_dim=1
-        )  # as launches on a CPU do; here, so that threads do not compile it twice
+        _load(kernel)
         edges = [w * self.groups // self.slots for w in range(self.slots + 1)]
         commands = [  # the work of Python is done first: threads that wait for each other there lose milliseconds
             wp.launch(kernel, edges[w + 1] - edges[w], [edges[w], w, 0, *arguments], device=device, record_cmd=True)

@@ -44,6 +44,16 @@ def test_a_second_process_compiles_nothing(tmp_path):
     assert compiled(tmp_path / "my cache") == kept
 
 
+@pytest.mark.parametrize("suffix", [".o", ".meta"])
+def test_a_cache_cut_short_is_named(tmp_path, suffix):
+    run(tmp_path)
+    for path in tmp_path.rglob(f"*{suffix}"):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    error = run(tmp_path).stderr
+    assert f"MissingError: {tmp_path}/piegraph/kernels" in error
+    assert "delete that folder" in error
+
+
 def test_without_a_cache_folder_kernels_are_compiled_and_it_is_said(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     done = run(tmp_path / "file")

@@ -40,14 +40,14 @@ def draw_roofline(rows: list[Row]) -> Figure:
     figure = Figure(figsize=(7, 4.6), layout="constrained")
     axes = figure.subplots()
     cache = cache_rate()
-    ends = [0.1, 100.0]
+    ends = [0.1, 10.0]
     corner = peak(1) / cache
     axes.plot([ends[0], corner, ends[1]], [cache * ends[0] / 1e9, peak(1) / 1e9, peak(1) / 1e9], color="0.3", lw=1.2)
     axes.annotate(
         f"multiply-adds, {peak(1) / 1e9:.0f} GFlop/s", (ends[1], peak(1) / 1e9), ha="right", va="bottom", fontsize=8
     )
     axes.annotate(
-        f"copy in the first cache, {cache / 1e9:.0f} GB/s", (ends[0] * 1.3, cache * ends[0] * 1.6 / 1e9), fontsize=8
+        f"copy in the first cache, {cache / 1e9:.0f} GB/s", (ends[0] * 1.1, cache * ends[0] * 0.7 / 1e9), fontsize=8
     )
     for subject, color, marker in (("sms", "#1f4e9c", "o"), ("egnn", "#d62728", "s")):
         mine = [row for row in rows if row.subject == subject and row.flop and row.bytes and row.cores == 1]

@@ -199,7 +199,7 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
                 row[0, 7] = wp.cw_mul(mode, reach) * SCALE
                 row[0, 8] = wp.cw_mul(mode, slack) * SCALE
                 row[0, 9] = wp.cw_mul(mode, start[i, 2] - load(grasps, group, 0, 3)) * SCALE
-            for o in range(0, hidden, 4):
+            for o in range(0, hidden, TILE):
                 a, b, c, d = bias(weights.embed_bias, o)
                 a, b, c, d = linear(row, 0, weights.embed, o, a, b, c, d)
                 put(h, i, o, a, b, c, d)
@@ -216,7 +216,7 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
             w_distance = weights.distance[layer]
             w_coordinate = weights.coordinate[layer]
             for i in range(particles):
-                for o in range(0, hidden, 4):
+                for o in range(0, hidden, TILE):
                     a, b, c, d = linear(h, i, w_send, o, zero, zero, zero, zero)
                     put(send, i, o, a, b, c, d)
             for i in range(particles):
@@ -227,7 +227,7 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
                     dx, dy, dz = offset(start, i, j)
                     edge[1, e] = wp.cw_mul(dx, dx) + wp.cw_mul(dy, dy) + wp.cw_mul(dz, dz)
                     edge[2, e] = zero
-                for o in range(0, hidden, 4):
+                for o in range(0, hidden, TILE):
                     a, b, c, d = bias(weights.receive_bias[layer], o)
                     a, b, c, d = linear(h, i, w_receive, o, a, b, c, d)
                     sa = zero
@@ -266,12 +266,12 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
                 following[i, 0] = ux
                 following[i, 1] = uy
                 following[i, 2] = uz
-                for o in range(0, hidden, 4):
+                for o in range(0, hidden, TILE):
                     a, b, c, d = bias(weights.update_bias[layer], o)
                     a, b, c, d = linear(h, i, weights.own[layer], o, a, b, c, d)
                     a, b, c, d = linear(row, 1, weights.message[layer], o, a, b, c, d)
                     put(row, 0, o, gate(a), gate(b), gate(c), gate(d))
-                for o in range(0, hidden, 4):
+                for o in range(0, hidden, TILE):
                     a, b, c, d = bias(weights.out_bias[layer], o)
                     a, b, c, d = linear(row, 0, weights.update[layer], o, a, b, c, d)
                     put(h, i, o, h[i, o] + a, h[i, o + 1] + b, h[i, o + 2] + c, h[i, o + 3] + d)
@@ -280,7 +280,7 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
                     x[i, axis] = following[i, axis]
 
         for i in range(particles):
-            for o in range(0, hidden, 4):
+            for o in range(0, hidden, TILE):
                 a, b, c, d = bias(weights.head_bias, o)
                 a, b, c, d = linear(h, i, weights.head, o, a, b, c, d)
                 put(row, 0, o, gate(a), gate(b), gate(c), gate(d))

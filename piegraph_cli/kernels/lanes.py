@@ -68,7 +68,8 @@ def _kernel_folder() -> Path:
 @functools.cache
 def cores() -> int:
     """Cores that kernels use: what the process may, or OMP_NUM_THREADS, which limits the workers of `--jobs`."""
-    return int(os.environ.get("OMP_NUM_THREADS") or joblib.cpu_count())
+    given = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]  # a list is for nested levels
+    return int(given) if given.isdigit() and int(given) else joblib.cpu_count()
 
 
 @functools.cache

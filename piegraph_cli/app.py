@@ -408,8 +408,10 @@ def bench(
     from tqdm import tqdm
 
     from piegraph_cli.bench.measure import table
-    from piegraph_cli.bench.run import draw_roofline, run_benchmarks
+    from piegraph_cli.bench.run import check_picture, draw_roofline, run_benchmarks
 
+    if roofline is not None:
+        check_picture(roofline)
     rows = list(tqdm(run_benchmarks(list(subjects or ()), run), desc="bench", unit=" rows", leave=False, disable=None))
     if roofline is not None:
         draw_roofline(rows).savefig(roofline, dpi=150)

@@ -148,8 +148,9 @@ def train_rows() -> Iterator[Row]:
             yield Row("train", f"a step, batch {batch}", seconds, threads, flop=3 * batch * network_flop(50, params))
 
 
-def perception_rows(folder: Path) -> Iterator[Row]:
+def perception_rows(folder: Path | None) -> Iterator[Row]:
     """A frame of all cameras through the stages of a run's first sequence, whose results must come out again."""
+    assert folder is not None
     run = Run.open(folder)
     names = run.sequences
     for name in ("hands", "segment", "fuse", "track"):

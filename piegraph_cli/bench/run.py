@@ -12,27 +12,35 @@ from piegraph_cli.bench.pipeline import perception_rows, plan_rows, track_rows, 
 from piegraph_cli.errors import UsageError
 from piegraph_cli.process import set_up_torch
 
+PICTURES = (".png", ".svg")
+
 
 def run_benchmarks(subjects: list[str], run: Path | None) -> Iterator[Row]:
     """Rows of the machine, then of each subject; of all of them where none is named. `perception` needs a run."""
     set_up_torch()
-    if "perception" in subjects and run is None:
-        raise UsageError("a run with hands, masks, clouds and tracks is needed", "bench perception", "--run RUN")
     known: dict[str, Callable[[], Iterator[Row]]] = {
         "sms": spring_rows,
         "egnn": network_rows,
         "plan": plan_rows,
         "track": track_rows,
         "train": train_rows,
+        "perception": partial(perception_rows, run),
     }
-    if run is not None:
-        known["perception"] = partial(perception_rows, run)
     unknown = [subject for subject in subjects if subject not in known]
     if unknown:
         raise UsageError(f"no benchmark {unknown[0]}", "bench", f"one of {', '.join(known)}")
+    if "perception" in subjects and run is None:
+        raise UsageError("a run with hands, masks, clouds and tracks is needed", "bench perception", "--run RUN")
     yield from machine_rows()
-    for subject in subjects or known:
+    for subject in subjects or [name for name in known if name != "perception" or run is not None]:
         yield from known[subject]()
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a picture that could not be written when all is measured. Raises UsageError."""
+    if path.suffix not in PICTURES or not path.parent.is_dir():
+        hint = f"a file in a folder that exists, ending in {' or '.join(PICTURES)}"
+        raise UsageError(f"cannot write a picture to {path}", "bench --roofline", hint)
 
 
 def draw_roofline(rows: list[Row]) -> Figure:

@@ -48,7 +48,7 @@ _TABLE = (
         "fuse:run",
         "fuse the object's cloud",
     ),
-    Stage("track", ("clouds",), "tracks", "sequence", params.TrackParams, 1, "track:run", "track particles"),
+    Stage("track", ("clouds",), "tracks", "sequence", params.TrackParams, 2, "track:run", "track particles"),
     Stage(
         "dataset",
         ("tracks",),
@@ -66,7 +66,7 @@ _TABLE = (
         "metrics",
         "run",
         params.EvaluateParams,
-        2,
+        3,
         "evaluate:run",
         "measure predictions on held-out sequences",
         scores=("frames", "hands", "masks", "clouds", "tracks"),

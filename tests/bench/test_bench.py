@@ -20,9 +20,14 @@ def test_a_benchmark_by_name():
     assert rows[-1]["error"] < pipeline.TRACKED
 
 
-def test_names_and_runs_that_do_not_exist(tmp_path):
-    assert "no benchmark fly" in piegraph("bench", "fly", check=2).stderr
+def test_names_runs_and_pictures_that_cannot_be(tmp_path):
+    fly = piegraph("bench", "fly", check=2).stderr
+    assert "no benchmark fly" in fly
+    assert "perception" in fly
     assert "--run" in piegraph("bench", "perception", check=2).stderr
+    for picture in (tmp_path / "none" / "x.png", tmp_path / "x.doc"):
+        assert "bench --roofline" in piegraph("bench", "track", "--roofline", picture, check=2).stderr
+        assert not picture.exists()
 
 
 def test_wrong_springs_are_not_timed(monkeypatch):

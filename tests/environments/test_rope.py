@@ -283,32 +283,6 @@ def test_a_rope_that_never_rests_is_an_error():
         environments.make("rope-stiff", options={"young": 1e20}).reset(seed=0)
 
 
-@pytest.mark.parametrize("broken", [np.nan, np.inf])
-def test_a_state_that_is_not_finite_is_refused(env, broken):
-    state = env.get_state()
-    state["integration"][7] = broken
-    with pytest.raises(DataError, match="finite"):
-        env.set_state(state)
-
-
-def test_a_state_of_another_environment_is_refused(env):
-    with pytest.raises(DataError, match="numbers"):
-        env.set_state({"integration": np.zeros(5)})
-
-
-@pytest.mark.parametrize(
-    ("action", "reason"),
-    [
-        ({"start": [0, 0.3], "end": [0.1, 0.3], "mode": 1}, "knows no pick"),
-        ({"start": [0, 0.3], "end": [0, 0.3], "mode": 0}, "heading"),
-        ({"start": [0, np.nan], "end": [0, 0.3], "mode": 0}, "finite"),
-    ],
-)
-def test_impossible_strokes_are_refused(env, action, reason):
-    with pytest.raises(UsageError, match=reason):
-        env.step(action)
-
-
 def test_wrong_options_are_usage_errors():
     with pytest.raises(UsageError, match="colour") as unknown:
         environments.make("rope-stiff", options={"colour": 1})

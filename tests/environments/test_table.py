@@ -1,13 +1,16 @@
-"""The table of environments, the names that settings accept, and what the documentation says of them."""
+"""The table of environments: names, documentation, and what all that are pushed refuse alike."""
 
 import pytest
 
 pytest.importorskip("mujoco", reason="the `sim` extra is not installed: pip install 'piegraph[sim]'")
 
+from functools import cache
 from typing import get_args
 
-from piegraph_cli.environments import ENVIRONMENTS, check_options
-from piegraph_cli.errors import UsageError
+import numpy as np
+
+from piegraph_cli.environments import ENVIRONMENTS, check_options, make
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import EnvironmentName
 from tests.cli import REPOSITORY
 
@@ -30,3 +33,46 @@ def test_an_unknown_option_lists_those_there_are_with_their_units():
     assert "young: Young's modulus [Pa]" in caught.value.hint
     with pytest.raises(UsageError, match="greater than 0"):
         check_options("rope-bendy", {"young": -1.0})
+
+
+MUJOCO = ["rope-stiff", "rope-bendy", "toy"]
+
+
+@cache
+def made(name):
+    return make(name)
+
+
+def ready(name):
+    made(name).reset(seed=3)
+    return made(name)
+
+
+@pytest.mark.parametrize("name", ["tblock", *MUJOCO])
+@pytest.mark.parametrize(
+    ("action", "reason"),
+    [
+        ({"start": [0, 0.3], "end": [0.1, 0.3], "mode": 1}, "knows no pick"),
+        ({"start": [0, 0.3], "end": [0, 0.3], "mode": 0}, "heading"),
+        ({"start": [0, np.nan], "end": [0, 0.3], "mode": 0}, "finite"),
+    ],
+)
+def test_impossible_strokes_are_refused(name, action, reason):
+    with pytest.raises(UsageError, match=reason):
+        ready(name).step(action)
+
+
+@pytest.mark.parametrize("name", MUJOCO)
+@pytest.mark.parametrize("broken", [np.nan, np.inf])
+def test_a_state_that_is_not_finite_is_refused(name, broken):
+    env = ready(name)
+    state = env.get_state()
+    state["integration"][7] = broken
+    with pytest.raises(DataError, match="finite"):
+        env.set_state(state)
+
+
+@pytest.mark.parametrize("name", MUJOCO)
+def test_a_state_of_another_environment_is_refused(name):
+    with pytest.raises(DataError, match="numbers"):
+        ready(name).set_state({"integration": np.zeros(5)})

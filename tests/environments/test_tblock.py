@@ -141,19 +141,6 @@ def test_goals_are_reachable_poses(env):
     assert np.array_equal(env.get_state()["pose"], start)
 
 
-@pytest.mark.parametrize(
-    ("action", "reason"),
-    [
-        ({"start": [0, 0.3], "end": [0.1, 0.3], "mode": 1}, "knows no pick"),
-        ({"start": [0, 0.3], "end": [0, 0.3], "mode": 0}, "heading"),
-        ({"start": [0, np.nan], "end": [0, 0.3], "mode": 0}, "finite"),
-    ],
-)
-def test_impossible_strokes_are_refused(env, action, reason):
-    with pytest.raises(UsageError, match=reason):
-        env.step(action)
-
-
 def test_particles_lie_on_the_visible_surface(env):
     block, points = t_block(), env.body_particles
     on_top = np.isclose(points[:, 2], block.height)

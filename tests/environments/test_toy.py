@@ -221,28 +221,6 @@ def test_a_diverged_simulation_is_an_error_and_leaves_the_state():
     assert np.array_equal(env.get_state()["integration"], before["integration"])
 
 
-def test_states_that_are_none_are_refused(env):
-    state = env.get_state()
-    state["integration"][7] = np.nan
-    with pytest.raises(DataError, match="finite"):
-        env.set_state(state)
-    with pytest.raises(DataError, match="numbers"):
-        env.set_state({"integration": np.zeros(5)})
-
-
-@pytest.mark.parametrize(
-    ("action", "reason"),
-    [
-        ({"start": [0, 0.3], "end": [0.1, 0.3], "mode": 1}, "knows no pick"),
-        ({"start": [0, 0.3], "end": [0, 0.3], "mode": 0}, "heading"),
-        ({"start": [0, np.nan], "end": [0, 0.3], "mode": 0}, "finite"),
-    ],
-)
-def test_impossible_strokes_are_refused(env, action, reason):
-    with pytest.raises(UsageError, match=reason):
-        env.step(action)
-
-
 def test_an_unknown_option_lists_the_known_ones():
     with pytest.raises(UsageError, match="colour") as unknown:
         environments.make("toy", options={"colour": 1})

@@ -37,7 +37,7 @@ test: setup
 
 # a few minutes: every stage on the sample with a short training, into a folder of its own
 smoke: setup
-	$(BIN)/piegraph run pipelines/demo.toml --run runs/smoke --jobs $(JOBS) --set train.steps=100 --set plan.strokes=2
+	$(BIN)/piegraph run pipelines/demo.toml --run runs/smoke --jobs $(JOBS) --set train.piegraph.steps=100 --set plan.strokes=2
 	$(BIN)/piegraph status --run runs/smoke
 
 lint: setup

@@ -19,7 +19,7 @@ import typer
 
 from piegraph_cli import __version__
 from piegraph_cli.errors import PiegraphError, UsageError
-from piegraph_cli.params import Params, SimulateParams
+from piegraph_cli.params import LEARNED, Params, SimulateParams, TrainParams, trained_label
 from piegraph_cli.stages import STAGES, Stage
 
 app = typer.Typer(
@@ -67,7 +67,7 @@ def _summary(outcomes: list, folder: Path) -> _Report:
         of_stage = [o for o in outcomes if o.stage == name and not o.error]
         if len(of_stage) > FEW:
             cached = sum(o.state == "cached" for o in of_stage)
-            units = "trials" if STAGES[name].per == "trial" else "sequences"
+            units = {"trial": "trials", "model": "models"}.get(STAGES[name].per, "sequences")
             lines.append(
                 f"{name:24s} {len(of_stage)} {units}, {cached} of them fresh already; last: {of_stage[-1].quality}"
             )
@@ -136,7 +136,7 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
         opened.recipe = opened.recipe.with_values(stage, given, f"piegraph {stage.name}", Path.cwd())
         if stage.reads:
             _require_run(run)
-        options = Options(force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
+        options = Options((), force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
         with _logging_to(run):
             outcomes = run_stage(run, stage, options)
             for outcome in outcomes:
@@ -188,15 +188,13 @@ def _described(stage: Stage, folder: Path) -> _Report:
     """What `evaluate` and `plan` print: the numbers themselves."""
     from piegraph_cli.workspace.artifact import read_artifact
 
-    artifact = read_artifact(folder / f"{stage.writes}.h5", stage.writes)
     if stage.name == "plan":
         from piegraph_cli.stages.plan import describe
 
-        return _Report(*describe(artifact))
-    from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
+        return _Report(*describe(read_artifact(folder / "plan.h5", "plan")))
+    from piegraph_cli.stages.evaluate import describe as describe_metrics
 
-    rows, scores = summarise(artifact.arrays), summarise_scores(artifact.arrays)
-    return _Report({"metrics": str(artifact.path), "rows": rows, "scores": scores}, table_lines(rows, scores))
+    return _Report(*describe_metrics(folder))
 
 
 def _with_trials(report: _Report, folder: Path) -> _Report:
@@ -211,7 +209,7 @@ def _with_trials(report: _Report, folder: Path) -> _Report:
 
 
 for _stage in STAGES.values():
-    if _stage.name != "simulate":
+    if _stage.name not in ("simulate", "train"):
         app.command(_stage.name)(_stage_command(_stage))
 
 
@@ -248,7 +246,7 @@ def run(
         raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
     with _logging_to(folder):
         opened.save_recipe()
-        outcomes = run_chain(folder, until, Options(force, jobs, backend, device))
+        outcomes = run_chain(folder, until, Options((), force, jobs, backend, device))
     _emit(_summary(outcomes, folder), as_json)
 
 
@@ -300,7 +298,7 @@ def _simulate(
     with _logging_to(folder):
         Run(folder, recipe).save_recipe()
         begin = time.monotonic()
-        outcomes = run_stage(folder, stage, Options(force, jobs, backend))
+        outcomes = run_stage(folder, stage, Options((), force, jobs, backend))
         seconds = time.monotonic() - begin
     report = _summary(outcomes, folder)
     fresh = sum(o.state == "done" for o in outcomes)
@@ -320,6 +318,74 @@ def _with_options(command: Callable[..., None], params: type[Params], named: str
 
 
 app.command("simulate")(_with_options(_simulate, SimulateParams, "environment"))
+
+
+def _train(
+    run: RunFolder,
+    model: Annotated[
+        str | None,
+        typer.Option(help="model to train, beside the run's others; pgnd@20: on 20 sequences [default: all]"),
+    ] = None,
+    seed: Annotated[
+        str | None, typer.Option(help="seeds, as in 0,1,2: of weights, batches and choice of sequences")
+    ] = None,
+    force: Force = False,
+    jobs: Jobs = 1,
+    backend: Backend = "local",
+    device: Device = "auto",
+    as_json: AsJson = False,
+    **values: Any,
+) -> None:
+    """Train models.
+
+    Other options are settings of --model (piegraph where it is left out); those that it does not have are refused.
+    """
+    from piegraph_cli.workspace.execute import Options, run_stage
+    from piegraph_cli.workspace.grid import model_name
+    from piegraph_cli.workspace.run import Run
+
+    stage, opened = STAGES["train"], Run.open(run)
+    given = {name: value for name, value in values.items() if value is not None}
+    section: dict[str, Any] = {n: given.pop(n) for n in ("checkpoint_every", "tensorboard") if n in given}
+    kept = opened.recipe.sections.get("train", {})
+    if seed is not None:
+        section["seeds"] = seed
+    if model is not None:
+        section["models"] = [*kept.get("models", ()), model]
+    if given:
+        own = (trained_label(model) or model).partition("@")[0] if model else "piegraph"
+        section[own] = kept.get(own, {}) | given
+    opened.recipe = opened.recipe.with_values(stage, section, "piegraph train", Path.cwd())
+    _require_run(run)
+    params = opened.recipe.params(stage)
+    assert isinstance(params, TrainParams)
+    only = tuple(model_name(params.models[-1], one) for one in params.seeds) if model else ()
+    if model is not None:
+        models = {"models": list(dict.fromkeys(params.models))}
+        opened.recipe = opened.recipe.with_values(stage, models, "piegraph train", Path.cwd())
+    with _logging_to(run):
+        options = Options(only, force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
+        outcomes = run_stage(run, stage, options)
+        if any(not o.error for o in outcomes):
+            opened.save_recipe()
+        report = _summary(outcomes, run)
+    _emit(report, as_json)
+
+
+def _training_options() -> list[Parameter]:
+    """One option per setting of any model; those that several have are described once, without their defaults."""
+    found: dict[str, Parameter] = {}
+    for params in LEARNED.values():
+        for option in _options(params):
+            found.setdefault(option.name, option)
+    return [*found.values(), *(o for o in _options(TrainParams) if o.name in ("checkpoint_every", "tensorboard"))]
+
+
+_train.__signature__ = Signature(  # type: ignore[attr-defined]
+    [p for p in inspect.signature(_train).parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+    + _training_options()
+)
+app.command("train")(_train)
 
 
 @app.command()

@@ -6,7 +6,7 @@ Nothing heavy is imported here, so that `piegraph --help` answers at once. The c
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny, model_validator
 
 
 def _split(value: object) -> object:
@@ -31,7 +31,19 @@ def _check_box(box: tuple[float, ...]) -> tuple[float, ...]:
     return box
 
 
-ModelName = Literal["piegraph", "piegraph-ng", "kabsch", "static"]
+ModelName = Literal[
+    "piegraph",
+    "piegraph-ng",
+    "kabsch",
+    "egnn-g",
+    "gnn",
+    "gnn-aug",
+    "sms-no",
+    "sms-o",
+    "pgnd",
+    "gbnd",
+    "static",
+]
 EnvironmentName = Literal[
     "tblock", "rope-stiff", "rope-bendy", "tshirt", "cloth", "toy", "daxbench-rope", "daxbench-tshirt"
 ]
@@ -39,6 +51,43 @@ Mode = Literal["push", "pick"]
 PUSH, PICK = 0, 1
 MODE_NAMES = get_args(Mode)
 """Names of the modes of a stroke, by number."""
+TRAINED_AS = {"piegraph-ng": "piegraph", "kabsch": "piegraph", "static": None, "sms-no": None, "greedy": None}
+"""Whose weights a model uses that has none of its own."""
+
+
+def split_label(label: str) -> tuple[str, int | None]:
+    """Model and number of training sequences of `pgnd@20`; None for all that the dataset has."""
+    name, at, count = label.partition("@")
+    return name, int(count) if at else None
+
+
+def trained_label(label: str) -> str | None:
+    """What must be trained for a model: `piegraph@20` for `piegraph-ng@20`; None where nothing is."""
+    name, at, count = label.partition("@")
+    own = TRAINED_AS.get(name, name)
+    return None if own is None else own + at + count
+
+
+def _check_label(label: str) -> str:
+    name, at, count = label.partition("@")
+    if name not in get_args(ModelName):
+        raise ValueError(f"no model {name}: {', '.join(get_args(ModelName))}")
+    if at and not (count.isdigit() and int(count) > 0 and trained_label(name)):
+        raise ValueError(f"{label}: after @ comes the number of sequences that a trained model learns from")
+    return name + at + (str(int(count)) if at else "")
+
+
+def _check_trainable(label: str) -> str:
+    own = trained_label(_check_label(label))
+    if own is None:
+        raise ValueError(f"{label} is not trained")
+    return own
+
+
+Label = Annotated[str, AfterValidator(_check_label)]
+"""A model by name, and after @ the number of sequences it learned from where these are not all: `pgnd@20`."""
+Labels = Annotated[tuple[Label, ...], BeforeValidator(_split), Field(min_length=1)]
+TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(_split), Field(min_length=1)]
 Pose2 = Annotated[tuple[float, float, float], BeforeValidator(_split)]
 Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_split), AfterValidator(_check_box)]
 Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_split), Field(min_length=1)]
@@ -46,8 +95,6 @@ Lengths = Annotated[
     tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1, max_length=3)
 ]
 Thresholds = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split), Field(min_length=1)]
-Models = Annotated[tuple[ModelName, ...], BeforeValidator(_split), Field(min_length=1)]
-TrialModels = Annotated[tuple[ModelName | Literal["greedy"], ...], BeforeValidator(_split), Field(min_length=1)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(_split), Field(min_length=1)]
 Modes = Annotated[tuple[Mode, ...], BeforeValidator(_split)]
 EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(_settings)]
@@ -221,6 +268,10 @@ class TrackParams(Params):
         return [share + (k < more) for k in range(len(self.scales))]
 
 
+class ScoreParams(Params):
+    """Settings of `score`: none."""
+
+
 class DatasetParams(Params):
     """Settings of `dataset`."""
 
@@ -231,23 +282,125 @@ class DatasetParams(Params):
     seed: int = Field(0, ge=0, description="seed of the split")
 
 
-class TrainParams(Params):
-    """Settings of `train`."""
+class LearningParams(Params):
+    """How any model is trained."""
+
+    learning_rate: float = Field(2e-3, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(1e-4, ge=0, description="AdamW weight decay")
+    clip: float = Field(1.0, gt=0, description="largest gradient norm")
+    batch: int = Field(8, ge=1, description="training examples per step")
+    steps: int = Field(2600, ge=1, description="training steps")
+
+
+class GraphParams(LearningParams):
+    """Settings of the graph networks that predict a stroke at once."""
 
     neighbors: int = Field(12, ge=1, description="neighbours of a particle in the graph")
     hidden: int = Field(32, ge=1, description="width of the network")
     layers: int = Field(4, ge=1, description="message-passing layers")
-    action_head: bool = Field(True, description="add a displacement in the stroke's frame")
+    pool: bool = Field(True, description="mix the mean over all particles into each layer")
     shape_weight: float = Field(0.1, ge=0, description="weight of the shape loss")
-    learning_rate: float = Field(2e-3, gt=0, description="AdamW learning rate at the start of the cosine")
-    weight_decay: float = Field(1e-4, ge=0, description="AdamW weight decay")
-    clip: float = Field(1.0, gt=0, description="largest gradient norm")
-    batch: int = Field(8, ge=1, description="training pairs per step")
-    steps: int = Field(2600, ge=1, description="training steps")
     mirror: bool = Field(False, description="mirror half of the pairs: right where the mirror image moves alike")
+
+
+class EGNNParams(GraphParams):
+    """Settings of piegraph's network."""
+
+    action_head: bool = Field(True, description="add a displacement in the stroke's frame")
+
+
+class SMSParams(LearningParams):
+    """The springs and the pusher of a spring-mass system alone, and how they are optimised."""
+
+    learning_rate: float = Field(0.05, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
+    batch: int = Field(2, ge=1, description="training sequences per step")
+    steps: int = Field(60, ge=1, description="training steps")
+    radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
+    stride: float = Field(1e-3, gt=0, description="the hand's motion per iteration [m]")
+    settle: int = Field(20, ge=0, description="iterations after the hand has stopped")
+    stiffness: float = Field(0.15, gt=0, description="spring stiffness k dt^2/m at the start")
+    damping: float = Field(0.8, gt=0, lt=1, description="velocity kept per iteration at the start")
+    friction: float = Field(0.5, gt=0, description="Coulomb coefficient of the table at the start")
+    gravity: float = Field(1e-4, gt=0, description="g dt^2 at the start [m]")
+    reach: float = Field(0.015, gt=0, description="distance that the pusher keeps particles away, at the start [m]")
+    tension_only: bool = Field(False, description="springs pull but never push, as in cloth")
+
+
+class StepParams(LearningParams):
+    """Settings of the models that predict frame by frame."""
+
+    rollout: int = Field(3, ge=1, description="frames predicted in a row in training")
+    noise: float = Field(0.002, ge=0, description="noise on the particles in training [m]")
+    turn: bool = Field(True, description="turn every training example about the vertical by a random angle")
+
+
+class PGNDParams(StepParams):
+    """Settings of Particle-Grid Neural Dynamics."""
+
+    learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
+    clip: float = Field(0.1, gt=0, description="largest gradient norm")
+    steps: int = Field(2000, ge=1, description="training steps")
+    rollout: int = Field(5, ge=1, description="frames predicted in a row in training")
+    noise: float = Field(0.0, ge=0, description="noise on the particles in training [m]")
+    cell: float = Field(0.02, gt=0, description="edge of a grid cell [m]")
+    reach: float = Field(0.2, gt=0, description="particles within this of a node give its feature [m]")
+    gripper: float = Field(0.04, gt=0, description="nodes within this of the hand take its velocity [m]")
+
+
+class GBNDParams(StepParams):
+    """Settings of graph-based neural dynamics with a tool node."""
+
+    learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
+    steps: int = Field(2000, ge=1, description="training steps")
+    hidden: int = Field(150, ge=1, description="width of the network")
+    neighbors: int = Field(5, ge=1, description="neighbours of a particle in the graph")
+    radius: float = Field(0.075, gt=0, description="particles further apart than this are no neighbours [m]")
+    edge_weight: float = Field(0.05, ge=0, description="weight of the loss on edge lengths")
+
+
+class TrainParams(Params):
+    """Settings of `train`: which models, from which seeds, and a table of settings for each."""
+
+    models: Annotated[tuple[Annotated[str, AfterValidator(_check_trainable)], ...], BeforeValidator(_split)] = Field(
+        ("piegraph",), min_length=1, description="models to train, by name; pgnd@20: on 20 of the training sequences"
+    )
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(_split)] = Field(
+        (0,), min_length=1, description="seeds of weights, batches and choice of sequences; each trains every model"
+    )
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
-    seed: int = Field(0, ge=0, description="seed of weights and batches")
+    piegraph: EGNNParams = Field(EGNNParams(), description="its settings")
+    egnn_g: GraphParams = Field(GraphParams(), alias="egnn-g", description="its settings")
+    gnn: GraphParams = Field(GraphParams(), description="its settings")
+    gnn_aug: GraphParams = Field(GraphParams(), alias="gnn-aug", description="its settings")
+    sms_o: SMSParams = Field(SMSParams(), alias="sms-o", description="its settings")
+    pgnd: PGNDParams = Field(PGNDParams(), description="its settings")
+    gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
+
+    def of(self, label: str) -> LearningParams:
+        """The settings of one model."""
+        return getattr(self, split_label(label)[0].replace("-", "_"))
+
+
+LEARNED: dict[str, type[LearningParams]] = {
+    name.replace("_", "-"): type(field.default)
+    for name, field in TrainParams.model_fields.items()
+    if isinstance(field.default, LearningParams)
+}
+"""What can be trained, by name, with its settings."""
+
+
+class ModelParams(Params):
+    """Everything that one trained model depends on."""
+
+    label: str = Field(description="model, and number of training sequences after @")
+    seed: int = Field(ge=0, description="seed of weights, batches and choice of sequences")
+    settings: SerializeAsAny[LearningParams] = Field(description="settings of the model")
+    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
+    tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
 
 
 class GuidanceParams(Params):
@@ -274,8 +427,15 @@ class PredictionParams(GuidanceParams):
 class EvaluateParams(PredictionParams):
     """Settings of `evaluate`."""
 
-    models: Models = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
+    models: Labels = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
+
+
+class ModelEvaluateParams(PredictionParams):
+    """Everything that the evaluation of one model depends on, beside what it learned."""
+
+    label: str = Field(description="model, and number of training sequences after @")
+    horizons: Counts = Field(description="strokes predicted in a row")
 
 
 class PlanParams(PredictionParams, EnvironmentParams):
@@ -288,7 +448,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
-    model: ModelName = Field("piegraph", description="model that predicts, by name")
+    model: Label = Field("piegraph", description="model that predicts, by name")
     cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
         "auto",
         description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
@@ -340,7 +500,7 @@ class TrialsParams(EnvironmentParams):
     envs: Environments = Field(
         ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description="simulated environments, by name"
     )
-    models: TrialModels = Field(
+    models: TrialLabels = Field(
         ("piegraph", "piegraph-ng", "static"), description="models to compare, by name; greedy: picks without a model"
     )
     goals: int = Field(10, ge=1, description="goals per environment")
@@ -362,7 +522,7 @@ class TrialParams(Params):
 
     goal: int = Field(ge=0, description="number of the goal")
     seed: int = Field(ge=0, description="number of the start")
-    network: Path | None = Field(description="model.h5 of the trained run; None where the model has no network")
+    network: Path | None = Field(description="model artifact of the trained run; None where nothing is trained")
     plan: PlanParams = Field(description="planning settings in force, with environment, model, strokes and success")
 
     def files(self) -> dict[str, Path]:

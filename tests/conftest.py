@@ -25,10 +25,12 @@ train = 2
 validation = 1
 
 [train]
+checkpoint_every = 10
+
+[train.piegraph]
 steps = 40
 hidden = 8
 layers = 2
-checkpoint_every = 10
 
 [evaluate]
 horizons = [1, 2]
@@ -62,7 +64,9 @@ def sample_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The demo recipe on the sample recording, with a short training: read it, never write to it."""
     folder = tmp_path_factory.mktemp("runs") / "sample run"
     recipe = REPOSITORY / "pipelines" / "demo.toml"
-    piegraph("run", recipe, "--run", folder, "--jobs", 2, "--set", "train.steps=300", "--set", "plan.strokes=3")
+    piegraph(
+        "run", recipe, "--run", folder, "--jobs", 2, "--set", "train.piegraph.steps=300", "--set", "plan.strokes=3"
+    )
     return folder
 
 

@@ -66,10 +66,10 @@ def test_training_goes_on_from_its_checkpoint(tiny_run, tmp_path, after):
     shutil.copytree(tiny_run, folder)
     forget(folder, "model")
     killed(after, "train", "--run", folder)
-    assert (folder / "checkpoints" / "train.h5").exists() == (after == 3)
+    assert (folder / "checkpoints" / "train.piegraph.seed0.h5").exists() == (after == 3)
     piegraph("train", "--run", folder)
     assert_equal_runs(folder, tiny_run)
-    assert not (folder / "checkpoints" / "train.h5").exists()
+    assert not (folder / "checkpoints" / "train.piegraph.seed0.h5").exists()
 
 
 def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
@@ -92,7 +92,7 @@ def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
     log = folder / "run.log"
     size = log.stat().st_size
     for _ in range(600):
-        if (folder / "checkpoints" / "train.h5").exists():
+        if (folder / "checkpoints" / "train.piegraph.seed0.h5").exists():
             break
         try:
             process.wait(0.1)

@@ -73,7 +73,7 @@ def test_the_report_draws_every_kind_of_picture(sample_run, tmp_path):
     pictures = {Path(p).name for p in piegraph_json("report", "--run", folder)["pictures"]}
     sequence = sorted(p.name for p in SAMPLE.iterdir() if p.is_dir())[0]
     expected = {f"{sequence}_{kind}.png" for kind in ("masks", "cloud", "tracks")} | {f"{sequence}.webp"}
-    assert pictures >= expected | {"training.png", "errors.png", "scores.png", "plan_0.png"}
+    assert pictures >= expected | {"training_piegraph.seed0.png", "errors.png", "scores.png", "plan_0.png"}
     assert all((folder / "report" / name).stat().st_size > 5000 for name in pictures)
 
 
@@ -114,7 +114,15 @@ def test_the_papers_association_is_there_and_tracks_worse(sample_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(sample_run, folder)
     piegraph(
-        "run", "--run", folder, "--set", "track.association=nearest", "--set", "train.steps=50", "--until", "evaluate"
+        "run",
+        "--run",
+        folder,
+        "--set",
+        "track.association=nearest",
+        "--set",
+        "train.piegraph.steps=50",
+        "--until",
+        "evaluate",
     )
     nearest, soft = (
         {r["score"]: r["mean"] for r in piegraph_json("evaluate", "--run", f)["scores"]} for f in (folder, sample_run)

@@ -11,7 +11,7 @@ from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, 
 from piegraph_cli.dynamics.action import FEATURES, make_strokes
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
-from piegraph_cli.params import GuidanceParams, TrainParams
+from piegraph_cli.params import EGNNParams, GuidanceParams
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import SpringGraph, build_springs, stability_bound
@@ -102,18 +102,22 @@ def _gather(state: Tensor, setpoint: Tensor, graph: SpringGraph, params: Guidanc
     return x
 
 
-def network_flop(particles: int, params: TrainParams) -> float:
+def network_flop(particles: int, params: EGNNParams) -> float:
     """Operations of one prediction; SiLU counts 15: a power of two, a sum, a quotient and a product."""
     hidden, edges = params.hidden, particles * min(params.neighbors, particles - 1)
     silu, per_edge = 15, 26
-    layer = particles * (10 * hidden**2 + (silu + 6) * hidden) + edges * (per_edge + hidden * (5 + silu + 1 + 2))
+    layer = (
+        2 * hidden**2
+        + particles * (10 * hidden**2 + (silu + 8) * hidden)
+        + edges * (per_edge + hidden * (5 + silu + 1 + 2))
+    )
     ends = particles * (2 * FEATURES * hidden + 2 * hidden**2 + hidden * (silu + 6) + 40)
     return float(params.layers * layer + ends)
 
 
 def _network(batch: int, particles: int, cores: int = 1, reference: bool = False) -> Row:
     rng = np.random.default_rng([batch, particles])
-    params = TrainParams()
+    params = EGNNParams()
     torch.manual_seed(batch + particles)
     network = EGNN(params.neighbors, params.hidden, params.layers, True)
     rest = random_object(particles, rng)

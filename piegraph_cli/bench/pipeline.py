@@ -11,10 +11,11 @@ from torch import Tensor
 from piegraph_cli.bench.kernels import network_flop, random_object, random_strokes
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.dynamics.models import Predict, make_predict
-from piegraph_cli.dynamics.training import Pairs, Trainer
+from piegraph_cli.dynamics.examples import Pairs
+from piegraph_cli.dynamics.models import Predict, Trained, make_predict
+from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import UsageError
-from piegraph_cli.params import PUSH, PlanParams, TrainParams
+from piegraph_cli.params import PUSH, EGNNParams, PlanParams
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.physics.tracking import track
@@ -23,6 +24,7 @@ from piegraph_cli.planning.search import plan_strokes
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.closed_loop import stroke_space
 from piegraph_cli.stages.simulate import make_environment
+from piegraph_cli.stages.train import make_network
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Checkpoint, Context
 from piegraph_cli.workspace.run import Run
@@ -41,21 +43,21 @@ LEARNED = 200
 
 def plan_rows() -> Iterator[Row]:
     """Plans for the T-block, horizon 1, guided and not, beside the same search with the references in PyTorch."""
-    state, network = _learned_block()
+    state, trained = _learned_block()
     for samples, iterations in ((100, 5), (500, 30)):
         for model in ("piegraph", "piegraph-ng"):
             for cores in core_counts():
                 yield _plan(
                     state,
-                    network,
+                    trained,
                     PlanParams(samples=samples, cem_iterations=iterations, model=model, converged=0),
                     cores,
                 )
     default = PlanParams(samples=500, cem_iterations=30)
-    yield _plan(state, network, default, core_counts()[-1])
+    yield _plan(state, trained, default, core_counts()[-1])
 
 
-def _learned_block() -> tuple[Tensor, EGNN]:
+def _learned_block() -> tuple[Tensor, Trained]:
     environment = make_environment("tblock", 50, PlanParams())
     rest, _ = environment.reset(seed=0)
     rng, state = np.random.default_rng(0), rest
@@ -68,18 +70,18 @@ def _learned_block() -> tuple[Tensor, EGNN]:
         strokes.append([*stroke["start"], *stroke["end"], PUSH, 0, 0])
         state = after
     owner = np.zeros(len(strokes), int)
-    params = TrainParams(steps=LEARNED)
+    params = EGNNParams(steps=LEARNED)
     pairs = Pairs(np.array(starts), np.array(ends), np.array(strokes), rest[None], owner, owner, params.neighbors)
-    trainer = Trainer(pairs, None, params)
+    trainer = Trainer(make_network("piegraph", params, False, 0), pairs, None, params, 0)
     for _ in range(LEARNED):
         trainer.step()
-    return torch.as_tensor(rest), trainer.network
+    return torch.as_tensor(rest), Trained(trainer.network.requires_grad_(False), params, 0.0)
 
 
-def _plan(state: Tensor, network: EGNN, params: PlanParams, cores: int) -> Row:
+def _plan(state: Tensor, trained: Trained, params: PlanParams, cores: int) -> Row:
     space = stroke_space(state, params, (PUSH,))
     cost = make_cost("distance", state + torch.tensor([0.1, 0.05, 0.0]), len(state))
-    predict, slow = make_predict(params.model, network, state, params), _reference(network, state, params)
+    predict, slow = make_predict(params.model, trained, state, params), _reference(trained, state, params)
 
     def plan(with_: Predict):
         found = plan_strokes(state, with_, cost, space, params, torch.Generator().manual_seed(0))
@@ -100,7 +102,9 @@ def _plan(state: Tensor, network: EGNN, params: PlanParams, cores: int) -> Row:
     return Row("plan", name, seconds, cores, check("plan", error, AT_REST), reference_seconds=reference)
 
 
-def _reference(network: EGNN, state: Tensor, params: PlanParams) -> Predict:
+def _reference(trained: Trained, state: Tensor, params: PlanParams) -> Predict:
+    network = trained.network
+    assert isinstance(network, EGNN)
     rest, graph = Rest.of(state[None], network.neighbors), build_springs(state.numpy(), params.spring_radius)
 
     @torch.no_grad()
@@ -139,10 +143,9 @@ def train_rows() -> Iterator[Row]:
     for batch in (8, 32):
         for threads in core_counts():
             torch.set_num_threads(threads)
-            params = TrainParams(batch=batch)
-            trainer = Trainer(
-                Pairs(start, start + 0.01, strokes, rest[None], none, none, params.neighbors), None, params
-            )
+            params = EGNNParams(batch=batch)
+            pairs = Pairs(start, start + 0.01, strokes, rest[None], none, none, params.neighbors)
+            trainer = Trainer(make_network("piegraph", params, False, 0), pairs, None, params, 0)
             seconds = median_seconds(trainer.step)
             torch.set_num_threads(1)
             yield Row("train", f"a step, batch {batch}", seconds, threads, flop=3 * batch * network_flop(50, params))
@@ -160,7 +163,7 @@ def perception_rows(folder: Path | None) -> Iterator[Row]:
                 f"{folder} has no {stage.writes} to compare with", "bench perception", f"piegraph run --run {folder}"
             )
         inputs = {read: read_artifact(run.path(read, names[0]), read) for read in stage.reads}
-        context = Context(run, names[0], "cpu", Checkpoint(run.checkpoint(stage), ""), True)
+        context = Context(run, names[0], "cpu", Checkpoint(run.checkpoint(stage, names[0]), ""), True)
         begin = time.perf_counter()
         output = stage.load()(inputs, run.params(stage, names[0]), context)
         seconds = time.perf_counter() - begin

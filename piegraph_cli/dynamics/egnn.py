@@ -49,22 +49,34 @@ class Rest:
 
 
 def gather_neighbors(values: torch.Tensor, neighbors: torch.Tensor) -> torch.Tensor:
-    """Values [B, N, C] of every particle's neighbours [B, N, k]: [B, N, k, C]."""
+    """Values [B, M, C] of every particle's neighbours [B, N, k], which are among the M: [B, N, k, C]."""
     batch, particles, count = neighbors.shape
-    offsets = torch.arange(batch, device=values.device)[:, None, None] * particles
-    flat = values.reshape(batch * particles, -1).index_select(0, (neighbors + offsets).reshape(-1))
+    offsets = torch.arange(batch, device=values.device)[:, None, None] * values.shape[1]
+    flat = values.reshape(batch * values.shape[1], -1).index_select(0, (neighbors + offsets).reshape(-1))
     return flat.view(batch, particles, count, -1)
 
 
+def small_linear(inputs: int, outputs: int) -> nn.Linear:
+    """A last layer that begins with small outputs: nothing moves."""
+    layer = nn.Linear(inputs, outputs)
+    with torch.no_grad():
+        layer.weight.mul_(0.1)
+        layer.bias.zero_()
+    return layer
+
+
 class Layer(nn.Module):
-    """One round of messages: features become h' [B, N, H], coordinates x' [B, N, 3].
+    """One round of messages to N nodes from all M >= N: features become h' [B, N, H], coordinates x' [B, N, 3].
 
     Message m_ij = silu(A h_i + B h_j + w [d, d0^2]); the linear layer comes after their mean, which costs k times less
-    than one per edge. Source: paper, II-B (Satorras et al. 2021), with d taken anew in each layer.
+    than one per edge. With `pool` the mean of all features is mixed into each first: messages alone would need half as
+    many layers as an object has neighbourhoods along it to tell one end that the other is pushed.
+    Source: paper, II-B (Satorras et al. 2021), with d taken anew in each layer; the mean is this project's.
     """
 
-    def __init__(self, hidden: int):
+    def __init__(self, hidden: int, pool: bool):
         super().__init__()
+        self.pool = nn.Linear(hidden, hidden, bias=False) if pool else None
         self.receive = nn.Linear(hidden, hidden)
         self.send = nn.Linear(hidden, hidden, bias=False)
         self.distance = nn.Linear(2, hidden, bias=False)
@@ -76,12 +88,14 @@ class Layer(nn.Module):
     def forward(
         self, h: torch.Tensor, x: torch.Tensor, rest2: torch.Tensor, neighbors: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        offset = x[:, :, None] - gather_neighbors(x, neighbors)
+        if self.pool is not None:
+            h = h + self.pool(h.mean(1, keepdim=True))
+        sent, all_x = self.send(h), x
+        h, x = h[:, : neighbors.shape[1]], x[:, : neighbors.shape[1]]
+        offset = x[:, :, None] - gather_neighbors(all_x, neighbors)
         distance = (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt()
         edge = self.distance(torch.cat([distance, rest2], -1))
-        message = torch.nn.functional.silu(
-            self.receive(h)[:, :, None] + gather_neighbors(self.send(h), neighbors) + edge
-        )
+        message = torch.nn.functional.silu(self.receive(h)[:, :, None] + gather_neighbors(sent, neighbors) + edge)
         x = x + (offset / (distance + 1) * self.coordinate(message)).mean(2)
         return h + self.update(torch.cat([h, message.mean(2)], -1)), x
 
@@ -98,17 +112,17 @@ class EGNN(nn.Module):
     Source: paper, III-B; the action-frame head is this project's.
     """
 
-    def __init__(self, neighbors: int, hidden: int, layers: int, action_head: bool, picks: bool = False):
+    def __init__(
+        self, neighbors: int, hidden: int, layers: int, action_head: bool, picks: bool = False, pool: bool = True
+    ):
         super().__init__()
-        self.neighbors, self.picks = neighbors, picks
+        self.neighbors, self.picks, self.pool = neighbors, picks, pool
         self.embed = nn.Linear(FEATURES + PICK_FEATURES * picks, hidden)
-        self.layers = nn.ModuleList(Layer(hidden) for _ in range(layers))
-        self.lift = nn.Linear(hidden, 1)
-        self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), nn.Linear(hidden, 2)) if action_head else None
-        with torch.no_grad():
-            for name, parameter in self.named_parameters():
-                if name.startswith(("lift.", "head.2.")):
-                    parameter.mul_(0.1 if name.endswith("weight") else 0.0)
+        self.layers = nn.ModuleList(Layer(hidden, pool) for _ in range(layers))
+        self.lift = small_linear(hidden, 1)
+        self.head = None
+        if action_head:
+            self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), small_linear(hidden, 2))
 
     def forward(
         self,
@@ -141,3 +155,104 @@ class EGNN(nn.Module):
         else:
             x = x + torch.cat([torch.zeros_like(x[..., :2]), self.lift(h)], -1)
         return positions + (x - start) / DECIMETRE
+
+
+class ActionNodeEGNN(nn.Module):
+    """An EGNN that sees the stroke as two more nodes, its start and its end, in place of canonical actions.
+
+    Both send messages to every particle and stay where they are; differences to them are what lets particles move as one.
+    Source: paper, IV-B, ablation EGNN+G.
+    """
+
+    def __init__(self, neighbors: int, hidden: int, layers: int, picks: bool = False, pool: bool = True):
+        super().__init__()
+        self.neighbors, self.picks = neighbors, picks
+        self.embed = nn.Linear(5 + PICK_FEATURES * picks, hidden)
+        self.layers = nn.ModuleList(Layer(hidden, pool) for _ in range(layers))
+        self.lift = small_linear(hidden, 1)
+
+    def forward(
+        self,
+        positions: torch.Tensor,
+        strokes: torch.Tensor,
+        rest: Rest | None = None,
+        grasp: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """As `EGNN.forward`."""
+        rest = rest or Rest.of(positions, self.neighbors)
+        batch, particles, _ = positions.shape
+        ends = strokes[:, :4].reshape(batch, 2, 2)
+        middle = positions.mean(1, keepdim=True)
+        ends = torch.cat([ends, middle[..., 2:].expand(-1, 2, -1)], -1)
+        kinds = torch.eye(3, dtype=positions.dtype, device=positions.device)
+        kinds = torch.cat([kinds[:1].expand(particles, -1), kinds[1:]])[None].expand(batch, -1, -1)
+        x = torch.cat([positions, ends], 1)
+        mode = strokes[:, None, 4:5].expand(-1, particles + 2, -1)
+        features = torch.cat([kinds, x[..., 2:] * DECIMETRE, mode], -1)
+        if self.picks:
+            grasp = grasped_particle(positions, strokes) if grasp is None else grasp
+            more = pick_features(positions, strokes, rest.positions, grasp)
+            more = torch.cat([more[..., :2], more[..., 2:] * DECIMETRE], -1)
+            features = torch.cat([features, torch.nn.functional.pad(more, (0, 0, 0, 2))], -1)
+        h = self.embed(features)
+        x = (x - middle) * DECIMETRE
+        start, x, fixed = x[:, :particles], x[:, :particles], x[:, particles:]
+        sent = torch.arange(particles, particles + 2, device=positions.device).expand(batch, particles, 2)
+        neighbors = torch.cat([rest.neighbors.expand(batch, -1, -1), sent], -1)
+        nodes, action = torch.cat([x, fixed], 1), h[:, particles:]
+        rest2 = (x[:, :, None] - gather_neighbors(nodes, neighbors)).square().sum(-1, keepdim=True)
+        for layer in self.layers:
+            h, x = layer(h, nodes, rest2, neighbors)
+            h, nodes = torch.cat([h, action], 1), torch.cat([x, fixed], 1)
+        lift = self.lift(h[:, :particles])
+        x = x + torch.cat([torch.zeros_like(x[..., :2]), lift], -1)
+        return positions + (x - start) / DECIMETRE
+
+
+class GNN(nn.Module):
+    """A graph network without equivariance: it sees particles and stroke along the world's axes, from the object's middle."""
+
+    def __init__(self, neighbors: int, hidden: int, layers: int, picks: bool = False, pool: bool = True):
+        super().__init__()
+        self.neighbors, self.picks = neighbors, picks
+        self.embed = nn.Linear(8 + PICK_FEATURES * picks, hidden)
+        self.pool = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(layers)) if pool else None
+        self.edges = nn.ModuleList(nn.Linear(4, hidden, bias=False) for _ in range(layers))
+        self.receive = nn.ModuleList(nn.Linear(hidden, hidden) for _ in range(layers))
+        self.send = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(layers))
+        self.update = nn.ModuleList(
+            nn.Sequential(nn.Linear(2 * hidden, hidden), nn.SiLU(), nn.Linear(hidden, hidden)) for _ in range(layers)
+        )
+        self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), small_linear(hidden, 3))
+
+    def forward(
+        self,
+        positions: torch.Tensor,
+        strokes: torch.Tensor,
+        rest: Rest | None = None,
+        grasp: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """As `EGNN.forward`."""
+        rest = rest or Rest.of(positions, self.neighbors)
+        batch, particles, _ = positions.shape
+        middle = positions[..., :2].mean(1)
+        ends = (strokes[:, :4] - middle.repeat(1, 2)) * DECIMETRE
+        x = torch.cat([positions[..., :2] - middle[:, None], positions[..., 2:]], -1) * DECIMETRE
+        shared = torch.cat([ends, strokes[:, 4:5]], -1)[:, None].expand(-1, particles, -1)
+        features = torch.cat([x, shared], -1)
+        if self.picks:
+            grasp = grasped_particle(positions, strokes) if grasp is None else grasp
+            more = pick_features(positions, strokes, rest.positions, grasp)
+            features = torch.cat([features, more[..., :2], more[..., 2:] * DECIMETRE], -1)
+        h = self.embed(features)
+        neighbors = rest.neighbors.expand(batch, -1, -1)
+        offset = x[:, :, None] - gather_neighbors(x, neighbors)
+        edge = torch.cat([offset, (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt()], -1)
+        for k, (edges, receive, send, update) in enumerate(
+            zip(self.edges, self.receive, self.send, self.update, strict=True)
+        ):
+            if self.pool is not None:
+                h = h + self.pool[k](h.mean(1, keepdim=True))
+            message = receive(h)[:, :, None] + gather_neighbors(send(h), neighbors) + edges(edge)
+            h = h + update(torch.cat([h, torch.nn.functional.silu(message).mean(2)], -1))
+        return positions + self.head(h) / DECIMETRE

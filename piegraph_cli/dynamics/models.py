@@ -1,60 +1,224 @@
 """Models by name: each predicts particles after strokes, `predict(positions [B, N, 3], strokes [B, 7]) -> [B, N, 3]`."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
+from torch import nn
 
+from piegraph_cli.dynamics import gbnd, pgnd, sms
 from piegraph_cli.dynamics.action import check_strokes
-from piegraph_cli.dynamics.egnn import EGNN, Rest
+from piegraph_cli.dynamics.egnn import EGNN, GNN, ActionNodeEGNN, Rest
+from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
-from piegraph_cli.params import PredictionParams
+from piegraph_cli.dynamics.training import Examples
+from piegraph_cli.params import (
+    TRAINED_AS,
+    EGNNParams,
+    GBNDParams,
+    GraphParams,
+    LearningParams,
+    PGNDParams,
+    PredictionParams,
+    SMSParams,
+    split_label,
+)
+from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.rigid import rigid_projection
-from piegraph_cli.physics.spring_kernel import guide
 from piegraph_cli.physics.springs import build_springs
 
 Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Correct = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
+CHUNK = 64
+"""Scenes that a network in PyTorch predicts together, so that its arrays stay in the cache."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a model has learned."""
+
+    network: nn.Module
+    settings: LearningParams
+    pace: float
+    """Metres that the hand moved between two frames of the training data."""
+
+
+@dataclass(frozen=True)
+class Learner:
+    """How a model that is trained comes about: its network, its examples, and how the network predicts a stroke."""
+
+    network: Callable[[Any, bool], nn.Module]
+    """From its settings, and whether there are picks in the data."""
+    examples: Callable[[Sequences, Any, str], Examples]
+    """From training sequences and settings, on a device."""
+    predict: Callable[[Trained, torch.Tensor], Predict]
+    """For an object at rest [N, 3] (m)."""
+
 
 @dataclass(frozen=True)
 class Model:
-    """A row of the table: what is done with the network's prediction, if it is asked at all."""
+    """A row of the table: what is learned, and what is done with the prediction."""
 
     help: str
-    network: bool
+    learner: Learner | None = None
+    """None for a model that is not trained itself: see `params.TRAINED_AS`."""
     correction: Callable[[torch.Tensor, PredictionParams], Correct] | None = None
     """Given the rest state [N, 3], makes the function (state, setpoint) -> prediction, all [B, N, 3]."""
 
 
+def _pairs(turn: bool) -> Callable[[Sequences, GraphParams, str], Pairs]:
+    def examples(data: Sequences, params: GraphParams, device: str) -> Pairs:
+        settings = {"shape_weight": params.shape_weight, "mirror": params.mirror, "turn": turn}
+        return Pairs.of(data, params.neighbors, device, **settings)
+
+    return examples
+
+
+def _in_kernel(trained: Trained, rest: torch.Tensor) -> Predict:
+    network = trained.network
+    assert isinstance(network, EGNN)
+    return NetworkKernel(network, Rest.of(rest[None], network.neighbors))
+
+
+def _in_torch(trained: Trained, rest: torch.Tensor) -> Predict:
+    network = trained.network
+    at_rest = Rest.of(rest[None], network.neighbors)  # type: ignore[arg-type]
+
+    @torch.inference_mode()
+    def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+        chunks = zip(positions.split(CHUNK), strokes.split(CHUNK), strict=True)
+        return torch.cat([network(x, stroke, at_rest.expand(len(x))) for x, stroke in chunks])
+
+    return predict
+
+
+def _frame_by_frame(history: int) -> Callable[[Trained, torch.Tensor], Predict]:
+    """The object rests before a stroke; the hand goes at the pace of the training data, and waits where it ends."""
+
+    def make(trained: Trained, rest: torch.Tensor) -> Predict:
+        def roll(x: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+            along = strokes[:, 2:4] - strokes[:, :2]
+            length = along.norm(dim=1, keepdim=True)
+            past, hand = x[:, None].expand(-1, history + 1, -1, -1), strokes[:, :2]
+            for k in range(1, math.ceil(float(length.max()) / trained.pace) + 1):
+                after = strokes[:, :2] + along / length * torch.minimum(length, length.new_tensor(k * trained.pace))
+                moves = (length > (k - 1) * trained.pace)[..., None]
+                x = torch.where(moves, trained.network.step(past, hand, after), x)  # type: ignore[operator]
+                past, hand = torch.cat([past[:, 1:], x[:, None]], 1), after
+            return x
+
+        @torch.inference_mode()
+        def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+            chunks = zip(positions.split(CHUNK), strokes.split(CHUNK), strict=True)
+            return torch.cat([roll(x, stroke) for x, stroke in chunks])
+
+        return predict
+
+    return make
+
+
+def _springs_alone(trained: Trained, rest: torch.Tensor) -> Predict:
+    network = trained.network
+    assert isinstance(network, sms.SMS)
+    graph = build_springs(rest.cpu().numpy(), network.params.radius)
+
+    @torch.inference_mode()
+    def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+        return network.move(spring_kernel.push, positions, strokes, graph)
+
+    return predict
+
+
 def _guided(rest: torch.Tensor, params: PredictionParams) -> Correct:
     graph = build_springs(rest.cpu().numpy(), params.spring_radius)
-    return lambda positions, setpoint: guide(positions, setpoint, graph, params)
+    return lambda positions, setpoint: spring_kernel.guide(positions, setpoint, graph, params)
 
 
 def _rigid(rest: torch.Tensor, params: PredictionParams) -> Correct:
     return lambda positions, setpoint: rigid_projection(rest, setpoint)
 
 
+def _egnn(params: EGNNParams, picks: bool) -> EGNN:
+    return EGNN(params.neighbors, params.hidden, params.layers, params.action_head, picks, params.pool)
+
+
+def _gnn(params: GraphParams, picks: bool) -> GNN:
+    return GNN(params.neighbors, params.hidden, params.layers, picks, params.pool)
+
+
+def _pgnd(params: PGNDParams, picks: bool) -> pgnd.PGND:
+    return pgnd.PGND(params)
+
+
+def _gbnd(params: GBNDParams, picks: bool) -> gbnd.GBND:
+    return gbnd.GBND(params)
+
+
+def _windows(history: int) -> Callable[[Sequences, Any, str], Windows]:
+    def examples(data: Sequences, params: Any, device: str) -> Windows:
+        return Windows(data, history, params.rollout, device, noise=params.noise, turn=params.turn)
+
+    return examples
+
+
+_SPRINGS = Learner(
+    lambda params, picks: sms.SMS(params),
+    lambda data, params, device: sms.WholeStrokes(data, params.radius),
+    _springs_alone,
+)
+_ACTION_NODES = Learner(
+    lambda params, picks: ActionNodeEGNN(params.neighbors, params.hidden, params.layers, picks, params.pool),
+    _pairs(False),
+    _in_torch,
+)
+
 MODELS: dict[str, Model] = {
-    "piegraph": Model("the network's prediction, kept physical by springs it guides", True, _guided),
-    "piegraph-ng": Model("the network alone, no guidance", True),
-    "kabsch": Model("the network's prediction, made rigid: an oracle for rigid objects", True, _rigid),
-    "static": Model("nothing moves: the floor of every comparison", False),
+    "piegraph": Model(
+        "the network's prediction, kept physical by springs it guides",
+        Learner(_egnn, _pairs(False), _in_kernel),
+        _guided,
+    ),
+    "piegraph-ng": Model("the network alone, no guidance"),
+    "kabsch": Model("the network's prediction, made rigid: an oracle for rigid objects", correction=_rigid),
+    "egnn-g": Model(
+        "the stroke as two nodes of the graph in place of canonical actions, and guidance", _ACTION_NODES, _guided
+    ),
+    "gnn": Model("a graph network without equivariance", Learner(_gnn, _pairs(False), _in_torch)),
+    "gnn-aug": Model("the same, trained on turned examples", Learner(_gnn, _pairs(True), _in_torch)),
+    "sms-no": Model("springs pushed by a disc, their numbers as given"),
+    "sms-o": Model("springs pushed by a disc, their numbers fitted by gradient", _SPRINGS),
+    "pgnd": Model(
+        "Particle-Grid Neural Dynamics", Learner(_pgnd, _windows(pgnd.HISTORY + 1), _frame_by_frame(pgnd.HISTORY + 1))
+    ),
+    "gbnd": Model(
+        "graph-based neural dynamics with a tool node",
+        Learner(_gbnd, _windows(gbnd.HISTORY), _frame_by_frame(gbnd.HISTORY)),
+    ),
+    "static": Model("nothing moves: the floor of every comparison"),
 }
 
 
-def make_predict(name: str, network: EGNN | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
+def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
     """The predict function of a model for one object, whose rest state [N, 3] (m) gives springs and neighbours.
 
-    One neighbour list serves every prediction: it is cheaper than a new one per state, and more accurate over several
-    strokes, since layers of a folded object do not connect.
+    One neighbour list serves every prediction of a graph network: it is cheaper than a new one per state, and more accurate
+    over several strokes, since layers of a folded object do not connect. `name` may end in @ and a number of sequences.
     """
+    name, _ = split_label(name)
     model = MODELS[name]
-    if not model.network:
+    if name == "static":
         return lambda positions, strokes: positions
-    assert network is not None
-    move = NetworkKernel(network, Rest.of(rest[None], network.neighbors))
+    if name == "sms-no":
+        settings = SMSParams(tension_only=params.tension_only)
+        trained, learner = Trained(sms.SMS(settings), settings, math.nan), _SPRINGS
+    else:
+        owner = TRAINED_AS.get(name, name)
+        learner = MODELS[str(owner)].learner  # type: ignore[assignment]
+    assert trained is not None
+    move = learner.predict(trained, rest)
     correct = model.correction(rest, params) if model.correction else None
 
     def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:

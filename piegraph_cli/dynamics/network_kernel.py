@@ -34,6 +34,7 @@ class Weights:
 
     embed: wp.array2d(dtype=wp.float32)
     embed_bias: wp.array(dtype=wp.float32)
+    pool: wp.array3d(dtype=wp.float32)
     receive: wp.array3d(dtype=wp.float32)
     receive_bias: wp.array2d(dtype=wp.float32)
     send: wp.array3d(dtype=wp.float32)
@@ -215,6 +216,30 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
             w_send = weights.send[layer]
             w_distance = weights.distance[layer]
             w_coordinate = weights.coordinate[layer]
+            for o in range(0, hidden, TILE):
+                put(row, 0, o, zero, zero, zero, zero)
+                for i in range(particles):
+                    put(
+                        row,
+                        0,
+                        o,
+                        row[0, o] + h[i, o],
+                        row[0, o + 1] + h[i, o + 1],
+                        row[0, o + 2] + h[i, o + 2],
+                        row[0, o + 3] + h[i, o + 3],
+                    )
+            for o in range(0, hidden, TILE):
+                a, b, c, d = linear(row, 0, weights.pool[layer], o, zero, zero, zero, zero)
+                for i in range(particles):
+                    put(
+                        h,
+                        i,
+                        o,
+                        h[i, o] + a * share,
+                        h[i, o + 1] + b * share,
+                        h[i, o + 2] + c * share,
+                        h[i, o + 3] + d * share,
+                    )
             for i in range(particles):
                 for o in range(0, hidden, TILE):
                     a, b, c, d = linear(h, i, w_send, o, zero, zero, zero, zero)
@@ -361,6 +386,8 @@ def _pack(network: EGNN, count: int, device: str) -> Weights:
             "head.2.bias": 2,
         }
         named |= {name: np.zeros(shape) for name, shape in zero.items()}
+    if not network.pool:
+        named |= {f"layers.{i}.pool.weight": np.zeros((hidden, hidden)) for i in range(layers)}
     before, after, share = -math.log2(math.e), -math.log(2), 1 / count
 
     def stack(name: str) -> np.ndarray:
@@ -370,6 +397,7 @@ def _pack(network: EGNN, count: int, device: str) -> Weights:
     values = {  # zeros fill each up to the shape given
         "embed": (named["embed.weight"].T, (inputs, wide)),
         "embed_bias": (named["embed.bias"], (wide,)),
+        "pool": (stack("pool.weight"), (layers, wide, wide)),
         "receive": (stack("receive.weight") * before, (layers, wide, wide)),
         "receive_bias": (stack("receive.bias") * before, (layers, wide)),
         "send": (stack("send.weight") * before, (layers, wide, wide)),

@@ -2,73 +2,42 @@
 
 import math
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 import torch
+from torch import nn
 
-from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.dynamics.losses import dynamics_loss
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import TrainParams
+from piegraph_cli.params import LearningParams
 
 
-def make_network(params: TrainParams, picks: bool) -> EGNN:
-    """A network with fresh weights, drawn from the seed; `picks` where the data has picks."""
-    torch.manual_seed(params.seed)
-    return EGNN(params.neighbors, params.hidden, params.layers, params.action_head, picks)
+class Examples(Protocol):
+    """What a network learns from."""
 
+    def __len__(self) -> int: ...
 
-class Pairs:
-    """Training pairs: start and end positions [P, N, 3] (m), strokes [P, 7], whose object each is, and what picks hold."""
-
-    def __init__(
-        self,
-        start: np.ndarray,
-        end: np.ndarray,
-        strokes: np.ndarray,
-        rest: np.ndarray,
-        owner: np.ndarray,
-        grasp: np.ndarray,
-        neighbors: int,
-        device: str = "cpu",
-    ):
-        """`rest` [S, N, 3] (m): objects at rest; `owner` [P]: the object of each pair; `grasp` [P]: its grasped particle."""
-        self.start, self.end, self.strokes, at_rest = (
-            torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, strokes, rest)
-        )
-        self.rest = Rest.of(at_rest, neighbors)
-        self.owner, self.grasp = (torch.as_tensor(np.asarray(a, np.int64), device=device) for a in (owner, grasp))
-
-    @property
-    def picks(self) -> bool:
-        """Whether any stroke is a pick."""
-        return bool(self.strokes[:, 4].any())
-
-    def loss(
-        self, network: EGNN, chosen: torch.Tensor, shape_weight: float, mirrored: torch.Tensor | None = None
-    ) -> torch.Tensor:
-        """`dynamics_loss` (dm^2) of the network on the chosen pairs [B], those in `mirrored` [B] reflected in y."""
-        rest = self.rest[self.owner[chosen]]
-        start, end, strokes = self.start[chosen], self.end[chosen], self.strokes[chosen]
-        if mirrored is not None:
-            sign = 1 - 2 * mirrored.to(start)[:, None, None]
-            start, end = (torch.cat([p[..., :1], p[..., 1:2] * sign, p[..., 2:]], -1) for p in (start, end))
-            strokes = strokes.clone()
-            strokes[:, 1:4:2] *= sign[:, 0]
-        return dynamics_loss(network(start, strokes, rest, self.grasp[chosen]), end, rest.neighbors, shape_weight)
-
-    def __len__(self) -> int:
-        return len(self.start)
+    def loss(self, network: nn.Module, chosen: torch.Tensor, rng: np.random.Generator | None = None, /) -> torch.Tensor:
+        """The loss on the chosen examples [B]; with `rng` they are varied at random, as training wants it."""
 
 
 class Trainer:
     """AdamW with a cosine over `params.steps`; step t draws its batch from (seed, t) alone, so resuming changes nothing."""
 
-    def __init__(self, pairs: Pairs, validation: Pairs | None, params: TrainParams, device: str = "cpu"):
-        if len(pairs) == 0:
-            raise DataError("no training pairs", hint="record longer strokes, or lower dataset.min_gap")
-        self.pairs, self.validation, self.params = pairs, validation, params
-        self.network = make_network(params, pairs.picks).to(device)
+    def __init__(
+        self,
+        network: nn.Module,
+        examples: Examples,
+        validation: Examples | None,
+        params: LearningParams,
+        seed: int,
+        device: str = "cpu",
+    ):
+        if len(examples) == 0:
+            raise DataError("nothing to train on", hint="record longer strokes, or lower dataset.min_gap")
+        self.examples, self.validation, self.params, self.seed = examples, validation, params, seed
+        self.device = device
+        self.network = network.to(device)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=params.learning_rate, weight_decay=params.weight_decay, fused=True
         )
@@ -80,13 +49,12 @@ class Trainer:
 
     def step(self) -> None:
         """One step on a random batch. Raises `DataError` when training has diverged."""
-        params, pairs = self.params, self.pairs
-        rng = np.random.default_rng([params.seed, self.done])
-        batch = torch.as_tensor(rng.integers(0, len(pairs), params.batch), device=pairs.start.device)
-        mirrored = torch.as_tensor(rng.random(params.batch) < 0.5, device=batch.device) if params.mirror else None
+        params = self.params
+        rng = np.random.default_rng([self.seed, self.done])
+        batch = torch.as_tensor(rng.integers(0, len(self.examples), params.batch), device=self.device)
         for group in self.optimizer.param_groups:
             group["lr"] = params.learning_rate * 0.5 * (1 + math.cos(math.pi * self.done / params.steps))
-        loss = pairs.loss(self.network, batch, params.shape_weight, mirrored)
+        loss = self.examples.loss(self.network, batch, rng)
         self.optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), params.clip)
@@ -94,7 +62,7 @@ class Trainer:
         self.done += 1
         value = loss.item()
         if not math.isfinite(value):
-            raise DataError(f"training diverged at step {self.done}", hint="lower train.learning_rate")
+            raise DataError(f"training diverged at step {self.done}", hint="lower the learning rate")
         self.recent = [self.recent[0] + value, self.recent[1] + 1]
 
     @torch.no_grad()
@@ -105,8 +73,8 @@ class Trainer:
         """
         loss = math.nan
         if self.validation is not None and len(self.validation):
-            chunks = torch.arange(len(self.validation), device=self.validation.start.device).split(256)
-            losses = [self.validation.loss(self.network, c, self.params.shape_weight).item() * len(c) for c in chunks]
+            chunks = torch.arange(len(self.validation), device=self.device).split(256)
+            losses = [self.validation.loss(self.network, c).item() * len(c) for c in chunks]
             loss = sum(losses) / len(self.validation)
         if not loss >= self.best_loss:
             self.best_loss = loss if math.isfinite(loss) else math.inf

@@ -89,14 +89,14 @@ def track_figure(
     return figure
 
 
-def loss_figure(step: np.ndarray, train: np.ndarray, validation: np.ndarray) -> Figure:
+def loss_figure(step: np.ndarray, train: np.ndarray, validation: np.ndarray, title: str) -> Figure:
     """Training and validation loss over steps."""
     figure = Figure(figsize=(5.5, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.semilogy(step, train, color=OBJECT, label="training")
     if np.isfinite(validation).any():
         axes.semilogy(step, validation, color=GOAL, label="validation")
-    axes.set(xlabel="step", ylabel="loss [dm$^2$]", title="Training")
+    axes.set(xlabel="step", ylabel="loss", title=title)
     axes.legend(fontsize=8)
     return figure
 
@@ -152,14 +152,12 @@ def plan_figure(steps: Sequence[dict[str, Any]], goal: np.ndarray, title: str) -
     return figure
 
 
-def score_figure(metrics: dict[str, np.ndarray]) -> Figure:
-    """Distributions of the scores against the truth."""
-    names = list(dict.fromkeys(metrics["score_name"].tolist()))
-    figure = Figure(figsize=(2.6 * len(names), 3.2), layout="constrained")
-    for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
-        values = metrics["score_value"][metrics["score_name"] == name]
-        axes.boxplot(values[np.isfinite(values)], widths=0.6, showfliers=False)
-        axes.set_title(name.decode(), fontsize=7, wrap=True)
+def score_figure(scores: dict[str, np.ndarray]) -> Figure:
+    """Distributions of named scores against the truth."""
+    figure = Figure(figsize=(2.6 * len(scores), 3.2), layout="constrained")
+    for axes, (name, values) in zip(figure.subplots(1, len(scores), squeeze=False)[0], scores.items(), strict=True):
+        axes.boxplot(values, widths=0.6, showfliers=False)
+        axes.set_title(name, fontsize=7, wrap=True)
         axes.set_xticks([])
         axes.set_ylim(bottom=0)
         axes.tick_params(labelsize=7)

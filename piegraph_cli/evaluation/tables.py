@@ -1,41 +1,67 @@
 """Metrics of many windows as a few rows, and rows as text."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from piegraph_cli.evaluation.statistics import bootstrap_mean
+from piegraph_cli.evaluation.statistics import bootstrap_grid
 
-METRICS = ("cd", "s", "pd", "pd_truth")
+METRICS = ("cd", "s", "cd+s", "pd", "pd_truth")
+
+Metrics = Mapping[str, Sequence[Mapping[str, np.ndarray]]]
+"""By model, the metrics of each of its seeds."""
 
 
-def summarise(metrics: dict[str, np.ndarray]) -> list[dict[str, Any]]:
-    """One row per model and horizon: windows, and (mean, low, high) of each metric."""
+def sequence_means(metrics: Sequence[Mapping[str, np.ndarray]], metric: str, horizon: int) -> np.ndarray:
+    """Mean of a metric over the windows of each sequence [seed, sequence]; sequences without a finite value are left out."""
     rows = []
-    models = metrics["model"].astype("S128")
-    for horizon in np.unique(metrics["horizon"]):
-        for model in dict.fromkeys(models.tolist()):
-            chosen = (models == model) & (metrics["horizon"] == horizon)
-            row: dict[str, Any] = {"model": model.decode(), "horizon": int(horizon), "windows": int(chosen.sum())}
-            for name in METRICS:
-                values = metrics[name][chosen]
-                row[name] = bootstrap_mean(values[np.isfinite(values)])
-            row["cd+s"] = bootstrap_mean(metrics["cd"][chosen] + metrics["s"][chosen])
-            rows.append(row)
+    for one in metrics:
+        values = one["cd"] + one["s"] if metric == "cd+s" else one[metric]
+        chosen = (one["horizon"] == horizon) & np.isfinite(values)
+        names, place = np.unique(one["sequence"][chosen], return_inverse=True)
+        rows.append(
+            np.bincount(place, values[chosen], len(names)) / np.maximum(np.bincount(place, minlength=len(names)), 1)
+        )
+    return np.array(rows)
+
+
+def summarise(metrics: Metrics) -> list[dict[str, Any]]:
+    """One row per horizon and model: windows, seeds, and (mean, low, high) of each metric."""
+    rows = []
+    horizons = sorted({int(h) for seeds in metrics.values() for one in seeds for h in one["horizon"]})
+    for horizon in horizons:
+        for model, seeds in metrics.items():
+            windows = int((seeds[0]["horizon"] == horizon).sum())
+            row: dict[str, Any] = {"model": model, "horizon": horizon, "windows": windows, "seeds": len(seeds)}
+            rows.append(row | {m: bootstrap_grid(sequence_means(seeds, m, horizon)) for m in METRICS})
     return rows
 
 
-def summarise_scores(metrics: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+def difference(metrics: Metrics, first: str, second: str, metric: str, horizon: int) -> tuple[float, float, float]:
+    """How much larger a metric of `second` is than that of `first` (mean, low, high), paired by seed and sequence.
+
+    A model that is not trained is compared with every seed of the other.
+    """
+    a, b = (sequence_means(metrics[name], metric, horizon) for name in (first, second))
+    return bootstrap_grid(b - a)
+
+
+def score_values(scores: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Finite values of each named score, over all sequences."""
+    if not scores:
+        return {}
+    names, values = (np.concatenate([one[part] for one in scores]) for part in ("score_name", "score_value"))
+    return {n.decode(): values[(names == n) & np.isfinite(values)] for n in dict.fromkeys(names.tolist())}
+
+
+def summarise_scores(scores: Sequence[Mapping[str, np.ndarray]]) -> list[dict[str, Any]]:
     """Perception and tracking against the truth, over all frames of all sequences: mean, median and 90th percentile."""
     rows = []
-    for name in dict.fromkeys(metrics["score_name"].tolist()):
-        values = metrics["score_value"][metrics["score_name"] == name]
-        values = values[np.isfinite(values)]
+    for name, values in score_values(scores).items():
         if len(values):
             median, high = np.quantile(values, [0.5, 0.9])
-            rows.append(
-                {"score": name.decode(), "values": len(values), "mean": values.mean(), "median": median, "p90": high}
-            )
+            rows.append({"score": name, "values": len(values), "mean": values.mean(), "median": median, "p90": high})
     return rows
 
 

@@ -27,18 +27,20 @@ SHORTEST = 1e-6  # metres; below it a spring has no direction worth a force
 
 @dataclass(frozen=True)
 class PushParams:
-    """A spring object on a table, pushed by an upright disc. Stiffness and damping may be tensors with a gradient."""
+    """A spring object on a table, pushed by an upright disc or held by a hand. Numbers may be tensors with a gradient."""
 
     stiffness: float | Tensor = 0.15
     """α = k dt²/m of every spring, dimensionless."""
     damping: float | Tensor = 0.8
     """δ, the share of a velocity kept per iteration, dimensionless, in (0, 1]."""
-    friction: float = 0.0
+    friction: float | Tensor = 0.0
     """Coulomb coefficient of the table, dimensionless; acts on what presses down, so it needs `gravity`."""
-    gravity: float = 0.0
+    gravity: float | Tensor = 0.0
     """g dt², metres per iteration squared."""
-    radius: float = 0.01
+    radius: float | Tensor = 0.01
     """Radius of the pusher, metres. It slips between particles further apart than its width: add half their spacing."""
+    tension_only: bool = False
+    """Springs pull but never push, as in cloth."""
 
 
 class _Product(torch.autograd.Function):
@@ -102,7 +104,7 @@ def _springs(graph: SpringGraph, dtype: torch.dtype, device: torch.device) -> _S
         return _Springs(graph, dtype, device)
 
 
-def _move(positions: Tensor, velocity: Tensor, friction: float) -> tuple[Tensor, Tensor]:
+def _move(positions: Tensor, velocity: Tensor, friction: float | Tensor) -> tuple[Tensor, Tensor]:
     """One displacement on a table: no particle [N, 3, B] ends below z = 0, and there Coulomb friction acts."""
     free = positions + velocity
     floor = torch.tensor([-torch.inf, -torch.inf, 0.0], dtype=free.dtype, device=free.device)[:, None]
@@ -117,7 +119,7 @@ def _move(positions: Tensor, velocity: Tensor, friction: float) -> tuple[Tensor,
     return moved, velocity + correction
 
 
-def _keep_out(positions: Tensor, velocity: Tensor, centre: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+def _keep_out(positions: Tensor, velocity: Tensor, centre: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
     """Move particles [N, 3, B] inside the upright cylinder at centre [2, B] out to its wall, the shortest way."""
     offset = positions[:, :2] - centre
     middle = offset.abs().amax(1) < SHORTEST  # no way out is the shortest there: take the one along x
@@ -202,23 +204,40 @@ def _drive(
     return x, velocity
 
 
-def push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams = PushParams()) -> Tensor:
+def push(
+    positions: Tensor,
+    path: Tensor,
+    graph: SpringGraph,
+    params: PushParams = PushParams(),
+    held: Tensor | None = None,
+) -> Tensor:
     """Push a spring object with an upright disc that no particle enters, one iteration per point of its path.
 
     positions: [B, N, 3] metres, at rest; path: [B, T, 2] metres, centre of the disc per iteration: repeat the last one
-    to let the object come to rest. Returns [B, N, 3]. Differentiable, also in stiffness and damping. Raises UsageError
-    for an unstable stiffness (with the bound) or a path that moves further than the disc's radius in one iteration,
-    which would jump over particles. Source: paper, Eq. 3, with contact as the external force (baselines SMS).
+    to let the object come to rest. held: [B, N] bool, particles that a hand holds and carries along the path at their
+    height; where a scene has any, there is no disc in it. Returns [B, N, 3]. Differentiable, also in the numbers of
+    `params`. Raises UsageError for an unstable stiffness (with the bound) or a path that moves further than the disc's
+    radius in one iteration, which would jump over particles.
+    Source: paper, Eq. 3, with contact as the external force (baselines SMS).
     """
     check_push(positions, path, graph, params)
     springs = _springs(graph, positions.dtype, positions.device)
     x = positions.permute(1, 2, 0).contiguous()
     velocity = torch.zeros_like(x)
-    weight = torch.tensor([0.0, 0.0, params.gravity], dtype=x.dtype, device=x.device)[:, None]
+    weight = torch.zeros(3, 1, dtype=x.dtype, device=x.device)
+    weight = weight + torch.tensor([[0.0], [0.0], [1.0]], dtype=x.dtype, device=x.device) * params.gravity
+    grip = None if held is None else held.t()[:, None]
+    radius = params.radius if held is None else params.radius * ~held.any(1)
+    last = path[:, 0].t()
     for centre in path.permute(1, 2, 0):
-        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness) - weight)
+        before = x
+        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness, params.tension_only) - weight)
         x, velocity = _move(x, velocity, params.friction)
-        x, velocity = _keep_out(x, velocity, centre, params.radius)
+        x, velocity = _keep_out(x, velocity, centre, radius)
+        if grip is not None:
+            carried = before + torch.nn.functional.pad(centre - last, (0, 0, 0, 1))
+            x, velocity = torch.where(grip, carried, x), torch.where(grip, 0.0, velocity)
+        last = centre
     return x.permute(2, 0, 1).contiguous()
 
 
@@ -249,18 +268,19 @@ def check_guidance(
     check_stability(graph, params, 1.0 if weights is None else float(weights.detach().max()))
 
 
-def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> tuple[float, float]:
-    """Refuse what `push` cannot work with: see there. Returns stiffness and damping as numbers."""
+def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> list[float]:
+    """Refuse what `push` cannot work with: see there. Returns stiffness, damping, friction, gravity, radius as numbers."""
     _check_state(positions, graph)
+    given = (params.stiffness, params.damping, params.friction, params.gravity, params.radius)
+    numbers = [float(torch.as_tensor(value).detach()) for value in given]
     stride = float((path[:, 1:] - path[:, :-1]).norm(dim=-1).max()) if path.shape[1] > 1 else 0.0
-    if stride > params.radius:
+    if stride > numbers[4]:
         raise UsageError(
-            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {params.radius} m",
+            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {numbers[4]:.4g} m",
             hint="more iterations along the path",
         )
-    stiffness, damping = (float(torch.as_tensor(value).detach()) for value in (params.stiffness, params.damping))
-    _check_bound(graph, stiffness, damping, 0.0)
-    return stiffness, damping
+    _check_bound(graph, numbers[0], numbers[1], 0.0)
+    return numbers
 
 
 def _check_bound(graph: SpringGraph, stiffness: float, damping: float, gain: float) -> None:

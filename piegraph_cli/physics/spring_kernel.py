@@ -53,6 +53,7 @@ class _Terms:
     tension_only: bool = False
     integral: bool = False
     derivative: bool = False
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class _Kernels:
 def _kernels(lanes: int, terms: _Terms) -> _Kernels:
     """The kernels for groups of `lanes` candidates. Each particle's springs are those to later particles."""
     friction_acts, tension_only = terms.friction, terms.tension_only
-    integral_acts, derivative_acts = terms.integral, terms.derivative
+    integral_acts, derivative_acts, held_acts = terms.integral, terms.derivative, terms.held
     vec = vector(lanes)
     load, store = accessors(lanes)
     zero, tiny2 = vec(0.0), vec(SHORTEST * SHORTEST)
@@ -236,28 +237,35 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         apart: int,
         positions: wp.array3d(dtype=wp.float32),
         path: wp.array3d(dtype=wp.float32),
+        held: wp.array3d(dtype=wp.float32),
+        discs: wp.array3d(dtype=wp.float32),
         out: wp.array3d(dtype=wp.float32),
         graph: Springs,
         states: wp.array3d(dtype=vec),
         velocities: wp.array3d(dtype=vec),
         forces: wp.array3d(dtype=vec),
+        grips: wp.array3d(dtype=vec),
         stiffness: float,
         damping: float,
         friction: float,
         gravity: float,
-        radius: float,
     ):
         group = first_group + wp.tid()
         slot = first_slot + wp.tid() * apart
         x = states[slot]
         v = velocities[slot]
         force = forces[slot]
+        grip = grips[slot]
         particles = graph.order.shape[0]
+        radius = load(discs, group, 0, 0)
+        last_x, last_y = load(path, group, 0, 0), load(path, group, 0, 1)
         for i in range(particles):
             for c in range(3):
                 x[i, c] = load(positions, group, graph.order[i], c)
                 v[i, c] = zero
                 force[i, c] = zero
+            if wp.static(held_acts):
+                grip[i, 0] = load(held, group, graph.order[i], 0)
         for t in range(path.shape[1]):
             cx, cy = load(path, group, t, 0), load(path, group, t, 1)
             for i in range(particles):
@@ -280,17 +288,25 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
                     if wp.max(wp.abs(ox), wp.abs(oy)) < TINY:
                         ox += TINY
                     distance = wp.max(wp.sqrt(ox * ox + oy * oy), TINY)
-                    out_of = wp.max(radius / distance - 1.0, 0.0)
+                    out_of = wp.max(radius[k] / distance - 1.0, 0.0)
                     px[k] = px[k] + ox * out_of
                     py[k] = py[k] + oy * out_of
                     vx[k] = vx[k] + ox * out_of
                     vy[k] = vy[k] + oy * out_of
+                if wp.static(held_acts):
+                    h = grip[i, 0]
+                    free = vec(1.0) - h
+                    px = wp.cw_mul(px, free) + wp.cw_mul(h, x[i, 0] + cx - last_x)
+                    py = wp.cw_mul(py, free) + wp.cw_mul(h, x[i, 1] + cy - last_y)
+                    pz = wp.cw_mul(pz, free) + wp.cw_mul(h, x[i, 2])
+                    vx, vy, vz = wp.cw_mul(vx, free), wp.cw_mul(vy, free), wp.cw_mul(vz, free)
                 x[i, 0] = px
                 x[i, 1] = py
                 x[i, 2] = pz
                 v[i, 0] = vx
                 v[i, 1] = vy
                 v[i, 2] = vz
+            last_x, last_y = cx, cy
         for i in range(particles):
             for c in range(3):
                 store(out, group, graph.order[i], c, x[i, c])
@@ -361,16 +377,26 @@ def _drive(
     return out
 
 
-def push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams = PushParams()) -> Tensor:
-    """`physics.simulation.push` in float32, without gradients: positions [B, N, 3] (m), path [B, T, 2] (m).
+def push(
+    positions: Tensor,
+    path: Tensor,
+    graph: SpringGraph,
+    params: PushParams = PushParams(),
+    held: Tensor | None = None,
+) -> Tensor:
+    """`physics.simulation.push` in float32, without gradients: positions [B, N, 3], path [B, T, 2] (m), held [B, N].
 
     Raises as the reference does. Source: paper, Eq. 3, with contact as the external force.
     """
-    stiffness, damping = check_push(positions, path, graph, params)
+    *numbers, radius = check_push(positions, path, graph, params)
     launch = Launch(len(positions), positions.device, LANES)
     out = torch.empty_like(positions)
-    arguments: list[Any] = [positions.contiguous(), path.contiguous(), out, _packed(graph, positions.device)]
-    arguments += [launch.scratch(graph.particles, 3) for _ in range(3)]
-    arguments += [stiffness, damping, params.friction, params.gravity, params.radius]
-    launch.run(_kernels(launch.lanes, _Terms(params.friction > 0)).push, arguments)
+    grip = torch.zeros_like(positions[..., 0]) if held is None else held.to(positions)
+    discs = torch.where(grip.any(1), 0.0, radius).to(positions)[:, None, None]
+    arguments: list[Any] = [positions.contiguous(), path.contiguous(), grip[..., None].contiguous(), discs, out]
+    arguments += [_packed(graph, positions.device)]
+    arguments += [launch.scratch(graph.particles, 3) for _ in range(3)] + [launch.scratch(graph.particles, 1)]
+    arguments += numbers
+    terms = _Terms(numbers[2] > 0, params.tension_only, held=held is not None)
+    launch.run(_kernels(launch.lanes, terms).push, arguments)
     return out

@@ -16,14 +16,14 @@ class Stage:
     name: str
     reads: tuple[str, ...]
     writes: str
-    per: Literal["sequence", "run", "trial"]
+    per: Literal["sequence", "run", "model", "trial"]
     params: type[Params]
     version: int
     run: str
-    """`module:function`, called as `function(inputs, params, context) -> Output`; of trials, with one trial's settings."""
+    """`module:function`, called as `function(inputs, params, context) -> Output`, with the settings of one model or trial."""
     help: str
-    scores: tuple[str, ...] = ()
-    """Artifacts read as well where the run has them, to score them against a simulated recording's truth."""
+    optional: tuple[str, ...] = ()
+    """Artifacts read as well where the run has them."""
 
     def load(self) -> Callable:
         """Import the stage's function."""
@@ -50,6 +50,16 @@ _TABLE = (
     ),
     Stage("track", ("clouds",), "tracks", "sequence", params.TrackParams, 2, "track:run", "track particles"),
     Stage(
+        "score",
+        ("frames", "hands", "masks", "clouds", "tracks"),
+        "scores",
+        "sequence",
+        params.ScoreParams,
+        1,
+        "score:run",
+        "score a simulated recording against its truth",
+    ),
+    Stage(
         "dataset",
         ("tracks",),
         "dataset",
@@ -59,26 +69,26 @@ _TABLE = (
         "dataset:run",
         "cut strokes, pair frames, split",
     ),
-    Stage("train", ("dataset",), "model", "run", params.TrainParams, 3, "train:run", "train the network"),
+    Stage("train", ("dataset",), "model", "model", params.TrainParams, 4, "train:run", "train models"),
     Stage(
         "evaluate",
         ("dataset", "model"),
         "metrics",
-        "run",
+        "model",
         params.EvaluateParams,
-        3,
+        4,
         "evaluate:run",
         "measure predictions on held-out sequences",
-        scores=("frames", "hands", "masks", "clouds", "tracks"),
+        optional=("scores",),
     ),
-    Stage("plan", ("model",), "plan", "run", params.PlanParams, 3, "plan:run", "plan strokes to a goal"),
+    Stage("plan", ("model",), "plan", "run", params.PlanParams, 4, "plan:run", "plan strokes to a goal"),
     Stage(
         "trials",
         (),
         "trials",
         "trial",
         params.TrialsParams,
-        2,
+        3,
         "trials:run",
         "plan in a grid of environments, models, goals and seeds",
     ),

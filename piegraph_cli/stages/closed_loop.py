@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import MODELS, make_predict
+from piegraph_cli.dynamics.models import make_predict
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES, PICK, PUSH, PlanParams
+from piegraph_cli.params import MODE_NAMES, PICK, PUSH, PlanParams, trained_label
 from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import Step, run_episode
@@ -16,7 +16,7 @@ from piegraph_cli.planning.proposals import StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, plan_strokes
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.simulate import make_environment
-from piegraph_cli.stages.train import read_network
+from piegraph_cli.stages.train import read_model
 from piegraph_cli.workspace.artifact import Artifact
 
 
@@ -24,6 +24,8 @@ from piegraph_cli.workspace.artifact import Artifact
 class Episode:
     """One attempt at a goal."""
 
+    start: np.ndarray
+    """[N, 3] metres."""
     goal: np.ndarray
     """[G, 3] metres."""
     steps: list[Step]
@@ -55,7 +57,7 @@ def play(
 
     Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones; a goal
     is drawn relative to the start. `choose_goal(state, sample)` may give another goal than the environment's.
-    `model` may be None where `params.model` has no network; there are 50 particles then.
+    `model` may be None where `params.model` is not trained; there are 50 particles then.
     """
     set_up_torch()
     particles = int(model["particles"]) if model is not None else 50
@@ -73,7 +75,7 @@ def play(
     steps = list(run_episode(state, make_plan, act, cost, strokes=params.strokes, success=params.success))
     first = float(cost(torch.as_tensor(state)[None])[0])
     last = steps[-1].after if steps else state
-    return Episode(wanted.points, steps, first, steps[-1].distance if steps else first), last
+    return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first), last
 
 
 def make_planner(
@@ -92,15 +94,15 @@ def make_planner(
     kind = params.cost if params.cost != "auto" else "distance" if goal.corresponds else "chamfer"
     target = torch.as_tensor(goal.points)
     cost = make_cost(kind, target, len(state))
-    needed = MODELS[params.model].network and params.planner != "greedy"
+    needed = trained_label(params.model) is not None and params.planner != "greedy"
     learned = tuple(int(m) for m in model["modes"]) if needed and model is not None else None
     modes = choose_modes(params, learned, known)
     if params.planner == "greedy":
         if PICK not in modes or not goal.corresponds:
             raise UsageError("the greedy planner picks, and needs to know which particle belongs where", "plan.planner")
         return cost, lambda positions: put_worst_right(positions, target, cost)
-    network = read_network(model) if needed and model is not None else None
-    predict = make_predict(params.model, network, torch.as_tensor(state), params)
+    trained = read_model(model) if needed and model is not None else None
+    predict = make_predict(params.model, trained, torch.as_tensor(state), params)
     space = stroke_space(torch.as_tensor(state), params, modes)
     generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     return cost, lambda positions: plan_strokes(positions, predict, cost, space, params, generator)

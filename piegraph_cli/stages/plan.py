@@ -26,8 +26,12 @@ def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Ou
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
-    model = inputs["model"]
+    model = inputs.get("model")
     if params.state is not None:
+        if model is None:
+            raise UsageError(
+                f"--state needs a trained model, {params.model} is none", "piegraph plan", "--model piegraph"
+            )
         episodes = [_plan_once(model, params)]
     else:
 
@@ -36,7 +40,7 @@ def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Ou
 
         numbers = context.progress(range(params.episodes), "plan")
         episodes = [play(model, params, wanted, start=i, goal=i)[0] for i in numbers]
-    arrays = _arrays(episodes, int(model["particles"]), params)
+    arrays = _arrays(episodes, params)
     return Output(arrays, _quality(arrays, params))
 
 
@@ -55,7 +59,7 @@ def _plan_once(model: Artifact, params: PlanParams) -> Episode:
     cost, make_plan = make_planner(model, state, goal, params, None, [params.seed, 2, 0, 0])
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
-        return Episode(goal.points, [], start, start)
+        return Episode(state, goal.points, [], start, start)
     plan = make_plan(torch.as_tensor(state))
     if plan is None:
         raise DataError(
@@ -71,7 +75,7 @@ def _plan_once(model: Artifact, params: PlanParams) -> Episode:
         )
         steps.append(Step(later, before, unknown, float("nan"), False, 0.0))
         before = plan.predicted[k].numpy()
-    return Episode(goal.points, steps, start, float("nan"))
+    return Episode(state, goal.points, steps, start, float("nan"))
 
 
 def _given_goal(params: PlanParams, state: np.ndarray) -> Goal | None:
@@ -141,7 +145,8 @@ def _read_frames(path: Path) -> list[np.ndarray]:
     return np.split(clouds["points"], clouds["offsets"][1:-1])
 
 
-def _arrays(episodes: list[Episode], particles: int, params: PlanParams) -> dict[str, np.ndarray]:
+def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray]:
+    particles = len(episodes[0].start)
     return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
         "goal": np.array([episode.goal for episode in episodes]),
         "seed": np.full(len(episodes), params.seed),

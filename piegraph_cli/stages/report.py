@@ -10,13 +10,13 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import figures, overlays, trial_figures
-from piegraph_cli.evaluation.tables import summarise
+from piegraph_cli.evaluation.tables import score_values, summarise
 from piegraph_cli.evaluation.trials import compare_trials
 from piegraph_cli.params import TrialsParams
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.stages import STAGES
+from piegraph_cli.stages.evaluate import read_metrics
 from piegraph_cli.stages.ingest import cameras_of, color_of
-from piegraph_cli.stages.scores import true_positions
 from piegraph_cli.stages.trials import read_trials
 from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact, read_key
 from piegraph_cli.workspace.run import Run
@@ -69,28 +69,36 @@ Group = tuple[str, str | None, list[tuple[str, str | None]], Callable[..., Itera
 def _groups(run: Run) -> Iterator[Group]:
     """Groups of pictures: name, sequence, the (artifact, unit) files they show, and what draws them."""
     for sequence in run.sequences[:SEQUENCES]:
-        names = ("frames", "hands", "masks", "clouds", "tracks")
+        names = ("frames", "hands", "masks", "clouds", "tracks", "scores")
         yield sequence, sequence, [(name, sequence) for name in names], _sequence_pictures
-    yield "model", None, [("model", None)], _model_pictures
-    yield "metrics", None, [("metrics", None)], _metrics_pictures
+    chain = run.recipe.chain()
+    if STAGES["train"] in chain:
+        for unit in run.units(STAGES["train"]):
+            yield f"model {unit}", unit, [("model", unit)], _model_pictures
+        read = [("metrics", unit) for unit in run.units(STAGES["evaluate"])]
+        read += [("scores", name) for name in run.sequences if STAGES["score"] in chain]
+        yield "metrics", None, read, _metrics_pictures
     yield "plan", None, [("plan", None)], _plan_pictures
     trials = STAGES["trials"]
-    if trials in run.recipe.chain():
+    if trials in chain:
         yield "trials", None, [("trials", unit) for unit in run.units(trials)], _trial_pictures
 
 
-def _model_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
-    model = _read(run, "model", None)
+def _model_pictures(run: Run, unit: str) -> Iterator[tuple[str, Any]]:
+    model = _read(run, "model", unit)
     if model is not None:
-        yield "training.png", figures.loss_figure(model["step"], model["train_loss"], model["validation_loss"])
+        picture = figures.loss_figure(model["step"], model["train_loss"], model["validation_loss"], f"Training {unit}")
+        yield f"training_{unit}.png", picture
 
 
 def _metrics_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
-    metrics = _read(run, "metrics", None)
-    if metrics is not None:
-        yield "errors.png", figures.error_figure(summarise(metrics.arrays))
-        if len(metrics["score_name"]):
-            yield "scores.png", figures.score_figure(metrics.arrays)
+    metrics, scores = read_metrics(run)
+    if metrics:
+        arrays = {model: [one.arrays for one in seeds] for model, seeds in metrics.items()}
+        yield "errors.png", figures.error_figure(summarise(arrays))
+    values = score_values([one.arrays for one in scores])
+    if values:
+        yield "scores.png", figures.score_figure(values)
 
 
 def _plan_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
@@ -112,7 +120,7 @@ def _trial_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
 
 
 def _sequence_pictures(run: Run, sequence: str) -> Iterator[tuple[str, Any]]:
-    got = {name: _read(run, name, sequence) for name in ("frames", "hands", "masks", "clouds", "tracks")}
+    got = {name: _read(run, name, sequence) for name in ("frames", "hands", "masks", "clouds", "tracks", "scores")}
     frames, tracks, clouds = got["frames"], got["tracks"], got["clouds"]
     contact = next((a["contact"] for a in (tracks, clouds) if a is not None), None)
     if contact is None:
@@ -129,7 +137,8 @@ def _sequence_pictures(run: Run, sequence: str) -> Iterator[tuple[str, Any]]:
         return
     true = None
     if frames is not None:
-        true = true_positions({"frames": {sequence: frames}, "tracks": {sequence: tracks}}, sequence, run)
+        if got["scores"] is not None and len(got["scores"]["true_positions"]):
+            true = got["scores"]["true_positions"]
         yield f"{sequence}.webp", _animation(frames, tracks)
     hand = tracks["end_effector"]
     title = f"{sequence}: tracked particles" + (" over true ones" if true is not None else "")

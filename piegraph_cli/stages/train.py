@@ -1,13 +1,16 @@
-"""Stage `train`: the network's weights, resumed from the last checkpoint."""
+"""Stage `train`: what one model learns from the dataset, resumed from the last checkpoint."""
+
+import math
 
 import numpy as np
 import torch
+from torch import nn
 
-from piegraph_cli.dynamics.action import make_strokes
-from piegraph_cli.dynamics.egnn import EGNN
-from piegraph_cli.dynamics.training import Pairs, Trainer, make_network
-from piegraph_cli.errors import DataError, MissingError
-from piegraph_cli.params import PICK, TrainParams
+from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.models import MODELS, Trained
+from piegraph_cli.dynamics.training import Trainer
+from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.params import LEARNED, PICK, LearningParams, ModelParams, split_label
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.dataset import TRAIN, VALIDATION
 from piegraph_cli.workspace.artifact import Artifact
@@ -17,34 +20,50 @@ RECORDS = 50
 """Losses are noted this many times in a training."""
 
 
-def run(inputs: dict[str, Artifact], params: TrainParams, context: Context) -> Output:
-    """Train on the dataset's training sequences."""
+def run(inputs: dict[str, Artifact], params: ModelParams, context: Context) -> Output:
+    """Train one model on the dataset's training sequences."""
     set_up_torch()
     device = choose_device(context.device)
-    data = inputs["dataset"]
-    validation = read_pairs(data, VALIDATION, params.neighbors, device)
-    trainer = Trainer(read_pairs(data, TRAIN, params.neighbors, device), validation, params, device)
+    name, count = split_label(params.label)
+    learner = MODELS[name].learner
+    assert learner is not None
+    data, settings = read_sequences(inputs["dataset"], TRAIN, count, params.seed), params.settings
+    held_out = read_sequences(inputs["dataset"], VALIDATION)
+    validation = learner.examples(held_out, settings, device) if len(held_out.strokes) else None
+    network = make_network(name, settings, data.picks, params.seed)
+    trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     saved = context.checkpoint.load()
     if saved is not None:
         trainer.load(saved)
-    every = max(1, params.steps // RECORDS)
+    every = max(1, settings.steps // RECORDS)
     writer = _tensorboard(context) if params.tensorboard else None
-    for step in context.progress(range(trainer.done + 1, params.steps + 1), "train"):
+    for step in context.progress(range(trainer.done + 1, settings.steps + 1), "train"):
         trainer.step()
-        if step % every == 0 or step == params.steps:
-            _, loss, held_out = trainer.record()
+        if step % every == 0 or step == settings.steps:
+            _, loss, found = trainer.record()
             if writer is not None:
                 writer.add_scalar("loss/train", loss, step)
-                writer.add_scalar("loss/validation", held_out, step)
-        if step % params.checkpoint_every == 0 and step < params.steps:
+                writer.add_scalar("loss/validation", found, step)
+        if step % params.checkpoint_every == 0 and step < settings.steps:
             context.checkpoint.save(trainer.state())
     steps, train, validation_loss = np.array(trainer.history).T
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
     arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
-    arrays["particles"] = np.array(data["positions"].shape[1])
-    arrays["modes"] = np.unique(trainer.pairs.strokes[:, 4].cpu().numpy()).astype(np.uint8)
-    quality = f"loss {train[-1]:.4f} dm^2 after {params.steps} steps on {len(trainer.pairs)} pairs"
+    arrays["particles"] = np.array(data.positions.shape[1])
+    arrays["modes"] = np.unique(data.mode)
+    arrays["pace"] = np.array(data.pace)
+    quality = f"loss {train[-1]:.4f} after {settings.steps} steps on {len(trainer.examples)} examples"
+    if not math.isnan(trainer.best_loss) and validation is not None:
+        quality += f", {trainer.best_loss:.4f} on validation"
     return Output(arrays, quality)
+
+
+def make_network(name: str, settings: LearningParams, picks: bool, seed: int) -> nn.Module:
+    """A network with fresh weights, drawn from the seed; `picks` where the data has picks."""
+    torch.manual_seed(seed)
+    learner = MODELS[name].learner
+    assert learner is not None
+    return learner.network(settings, picks)
 
 
 def _tensorboard(context: Context):
@@ -64,26 +83,36 @@ def choose_device(name: str) -> str:
     return name
 
 
-def read_pairs(data: Artifact, split: int, neighbors: int, device: str) -> Pairs:
-    """The training pairs of one split."""
-    chosen = data["sequence_split"][data["stroke_sequence"][data["pair_stroke"]]] == split
-    first, last = data["pairs"][chosen].T
-    stroke = data["pair_stroke"][chosen]
-    begin, finish = data["strokes"][stroke].T
-    hand, positions = data["end_effector"], data["positions"]
-    strokes = make_strokes(
-        hand[first], hand[last], data["stroke_mode"][stroke], np.stack([first > begin, last < finish], 1)
+def read_sequences(data: Artifact, split: int, count: int | None = None, seed: int = 0) -> Sequences:
+    """The sequences of one split, or `count` of them, which the seed chooses. Raises `UsageError` for more than there are."""
+    chosen = np.flatnonzero(data["sequence_split"] == split)
+    if count is not None and count > len(chosen):
+        raise UsageError(
+            f"{len(chosen)} sequences to train on, {count} are asked for",
+            str(data.path),
+            "a larger dataset.train, or a smaller number after @",
+        )
+    if count is not None:
+        chosen = np.sort(np.random.default_rng([seed, count]).permutation(chosen)[:count])
+    strokes = np.flatnonzero(np.isin(data["stroke_sequence"], chosen))
+    pairs = np.isin(data["pair_stroke"], strokes)
+    return Sequences(
+        positions=data["positions"],
+        hand=data["end_effector"],
+        strokes=data["strokes"][strokes],
+        mode=data["stroke_mode"][strokes],
+        owner=np.searchsorted(chosen, data["stroke_sequence"][strokes]),
+        rest=data["positions"][data["sequence_start"][chosen]],
+        pairs=data["pairs"][pairs],
+        pair_stroke=np.searchsorted(strokes, data["pair_stroke"][pairs]),
     )
-    apart = np.linalg.norm(positions[data["strokes"][:, 0], :, :2] - hand[data["strokes"][:, 0], None], axis=-1)
-    rest, owner = positions[data["sequence_start"]], data["stroke_sequence"][stroke]
-    grasp = apart.argmin(-1)[stroke]
-    return Pairs(positions[first], positions[last], strokes.numpy(), rest, owner, grasp, neighbors, device)
 
 
-def read_network(model: Artifact) -> EGNN:
-    """The trained network of a model artifact. Raises `DataError` where the weights do not fit its settings."""
-    fields = {name: model.params[name] for name in TrainParams.model_fields if name in model.params}
-    network = make_network(TrainParams(**fields), PICK in model["modes"])
+def read_model(model: Artifact) -> Trained:
+    """What a model artifact holds. Raises `DataError` where the weights do not fit its settings."""
+    name, _ = split_label(model.params["label"])
+    settings = LEARNED[name].model_validate(model.params["settings"])
+    network = make_network(name, settings, PICK in model["modes"], model.params["seed"])
     weights = {
         n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")
     }
@@ -92,4 +121,4 @@ def read_network(model: Artifact) -> EGNN:
     except RuntimeError as error:
         reason = str(error).splitlines()[-1].strip()
         raise DataError(f"weights do not fit: {reason}", str(model.path), "piegraph train --force") from None
-    return network.eval()
+    return Trained(network.eval().requires_grad_(False), settings, float(model["pace"]))

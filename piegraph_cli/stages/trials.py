@@ -45,8 +45,12 @@ def _read_model(params: TrialParams) -> Artifact | None:
         return None
     key = read_key(params.network, "model")
     if key is None and not params.network.exists():
-        env, folder = params.plan.env, params.network.parent
-        raise DataError(f"no network is trained for {env}", str(params.network), f"piegraph run {env} --run {folder}")
+        env, folder = params.plan.env, params.network.parent.parent
+        raise DataError(
+            f"{params.plan.model} is not trained for {env}",
+            str(params.network),
+            f"piegraph run {env} --run {folder}, or piegraph train --run {folder} --model {params.plan.model}",
+        )
     return _read_once(params.network, key)
 
 

@@ -68,7 +68,7 @@ class Checkpoint:
     def save(self, state: Mapping[str, np.ndarray]) -> None:
         """Replace the saved state."""
         arrays = {f"state/{name}": np.asarray(value) for name, value in state.items()}
-        name = self.path.stem
+        name = self.path.stem.partition(".")[0]
         write_artifact(
             self.path,
             "checkpoint",
@@ -85,6 +85,8 @@ class Checkpoint:
 class Options:
     """How to run: not part of any cache key."""
 
+    only: tuple[str, ...] = ()
+    """Units to work on; all where none is named."""
     force: bool = False
     jobs: int = 1
     backend: Literal["local", "ray"] = "local"
@@ -114,8 +116,9 @@ def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
     run = Run.open(folder, options.recipe)
     if stage.per == "run":
         _require_inputs(run, stage)
-    left_out = {u: why for u in run.units(stage) if u is not None and (why := _failed_earlier(run, stage, u))}
-    units = [u for u in run.units(stage) if u not in left_out]
+    wanted = [u for u in run.units(stage) if not options.only or u in options.only]
+    left_out = {u: why for u in wanted if u is not None and (why := _failed_earlier(run, stage, u))}
+    units = [u for u in wanted if u not in left_out]
     todo = [u for u in units if options.force or run.state(stage, u) != "fresh"]
     outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in todo]
     outcomes += _work_through(run, stage, todo, options)
@@ -153,7 +156,7 @@ def run_unit(folder: Path, stage_name: str, sequence: str | None, options: Optio
     try:
         path = run.path(stage.writes, sequence)
         with _locked(run, stage, sequence) as waited:
-            for file in (path, run.checkpoint(stage)):
+            for file in (path, run.checkpoint(stage, sequence)):
                 remove_leftovers(file)
             if (waited or not options.force) and run.state(stage, sequence) == "fresh":
                 return Outcome(stage_name, sequence, "cached", 0.0, _quality(run, stage, sequence))
@@ -175,12 +178,12 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet:
     files = run.inputs(stage, sequence)
     inputs: dict[str, Any] = {}
     for name in dict.fromkeys(name for name, _ in files):
-        sequences = [s for n, s in files if n == name and s is not None]
-        if stage.per == "run" and sequences:
-            inputs[name] = _OnDemand(run, name, sequences)
+        units = [unit for n, unit in files if n == name]
+        if run.producer(name).per == "sequence" and stage.per != "sequence":
+            inputs[name] = _OnDemand(run, name, [unit for unit in units if unit])
         else:
-            inputs[name] = _read_fresh(run, name, sequence if sequences else None)
-    checkpoint = Checkpoint(run.checkpoint(stage), key)
+            inputs[name] = _read_fresh(run, name, units[0])
+    checkpoint = Checkpoint(run.checkpoint(stage, sequence), key)
     context = Context(run, sequence, options.device, checkpoint, quiet)
     params = run.params(stage, sequence)
     output = stage.load()(inputs, params, context)
@@ -238,7 +241,7 @@ def _require_inputs(run: Run, stage: Stage) -> None:
 
 def _failed_earlier(run: Run, stage: Stage, sequence: str) -> str | None:
     chain = run.recipe.chain()
-    before = chain[: chain.index(stage)] if stage in chain else []
+    before = [s for s in chain[: chain.index(stage)] if s.per == stage.per] if stage in chain else []
     return run.failure(before[-1], sequence) if before else None
 
 

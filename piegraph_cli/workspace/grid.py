@@ -1,17 +1,71 @@
-"""The grid of a run's trials: the name of each, and the settings it depends on; so that a larger grid keeps what is done."""
+"""What a run trains, evaluates and tries: the name of each unit, and the settings that it depends on.
+
+So a larger grid keeps what is done: every unit has its own artifact and its own key.
+"""
 
 from pathlib import Path
 
 from piegraph_cli.environments import check_options
-from piegraph_cli.params import PlanParams, TrialParams, TrialsParams
+from piegraph_cli.params import (
+    EvaluateParams,
+    ModelEvaluateParams,
+    ModelParams,
+    PlanParams,
+    TrainParams,
+    TrialParams,
+    TrialsParams,
+    trained_label,
+)
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 
-UNTRAINED = ("static", "greedy")
-"""What needs no trained network."""
-
 _QUESTION = {"env", "state", "goal", "goal_pose", "model", "strokes", "success", "episodes", "seed"}
 """Settings of `plan` that the grid gives."""
+
+
+def model_name(label: str, seed: int) -> str:
+    """`pgnd@20.seed1`; or `static` alone, where nothing is trained."""
+    return label if trained_label(label) is None else f"{label}.seed{seed}"
+
+
+def split_model(name: str) -> tuple[str, int]:
+    """Label and seed of a `model_name`; seed 0 where there is none."""
+    label, _, seed = name.partition(".seed")
+    return label, int(seed or 0)
+
+
+def trained_name(name: str) -> str | None:
+    """The trained model that a model uses: `piegraph.seed1` for `piegraph-ng.seed1`; None where nothing is trained."""
+    label, seed = split_model(name)
+    own = trained_label(label)
+    return None if own is None else model_name(own, seed)
+
+
+def trained_names(params: TrainParams) -> list[str]:
+    """What a run trains."""
+    return list(dict.fromkeys(model_name(label, seed) for label in params.models for seed in params.seeds))
+
+
+def model_params(params: TrainParams, name: str) -> ModelParams:
+    """The settings of one trained model."""
+    label, seed = split_model(name)
+    return ModelParams(
+        label=label,
+        seed=seed,
+        settings=params.of(label),
+        checkpoint_every=params.checkpoint_every,
+        tensorboard=params.tensorboard,
+    )
+
+
+def evaluated_names(params: EvaluateParams, train: TrainParams) -> list[str]:
+    """What a run evaluates: its models, from every seed that they are trained from."""
+    return list(dict.fromkeys(model_name(label, seed) for label in params.models for seed in train.seeds))
+
+
+def evaluate_params(params: EvaluateParams, name: str) -> ModelEvaluateParams:
+    """The settings of one evaluation."""
+    return ModelEvaluateParams(label=split_model(name)[0], **params.model_dump(exclude={"models"}))
 
 
 def trial_names(params: TrialsParams) -> list[str]:
@@ -28,12 +82,15 @@ def trial_names(params: TrialsParams) -> list[str]:
 def trial_params(params: TrialsParams, name: str, trained: Path) -> TrialParams:
     """The settings of one trial of the grid, where `trained` holds a trained run per environment.
 
-    Planning settings are those of the trained run's recipe, where it has one. Raises `UsageError` for options that the
+    Planning settings are those of the trained run's recipe, where it has one; where that trains from several seeds, the
+    starts take turns with them. Raises `UsageError` for options that the
     environment does not have.
     """
     env, model, goal, seed = split_name(name)
-    recipe = trained / env / "recipe.toml"
-    kept = (load_recipe(recipe) if recipe.is_file() else Recipe()).params(STAGES["plan"])
+    path = trained / env / "recipe.toml"
+    recipe = load_recipe(path) if path.is_file() else Recipe()
+    kept, learned = recipe.params(STAGES["plan"]), recipe.params(STAGES["train"])
+    assert isinstance(learned, TrainParams)
     settings = kept.model_dump(exclude=_QUESTION)
     if model == "greedy":
         settings |= {"model": "static", "planner": "greedy"}
@@ -45,7 +102,8 @@ def trial_params(params: TrialsParams, name: str, trained: Path) -> TrialParams:
         given = getattr(params, interpreter) or settings[interpreter]
         settings[interpreter] = given if env.startswith("daxbench-") else None
     plan = PlanParams(env=env, strokes=params.strokes, success=min(params.thresholds), **settings)  # type: ignore[arg-type]
-    network = None if model in UNTRAINED else trained / env / "model.h5"
+    own = trained_name(model_name(model, learned.seeds[seed % len(learned.seeds)]))
+    network = trained / env / "model" / f"{own}.h5" if own else None
     return TrialParams(goal=goal, seed=seed, network=network, plan=plan)
 
 

@@ -40,7 +40,10 @@ class Recipe:
         Raises `UsageError` for unknown or wrong ones.
         """
         replaced = set(stage.params.query) if set(stage.params.query) & set(values) else set()
-        section = {k: v for k, v in self.sections.get(stage.name, {}).items() if k not in replaced} | dict(values)
+        section = {k: v for k, v in self.sections.get(stage.name, {}).items() if k not in replaced}
+        for name, value in values.items():
+            table, dot, inner = name.partition(".")
+            section[table] = section.get(table, {}) | {inner: value} if dot else value
         for name, file in _validate(stage, section, where).files().items():
             if name in values:
                 section[name] = str((base / file).resolve()) + str(values[name])[len(str(file)) :]
@@ -54,7 +57,7 @@ class Recipe:
         if "trials" in self.sections and not {"simulate", "ingest"} & set(self.sections):
             return [STAGES["trials"]]
         from_recording = "ingest" in self.sections or "simulate" not in self.sections
-        skipped = {"simulate"} if from_recording else {"ingest", "hands", "segment", "fuse", "track"}
+        skipped = {"simulate"} if from_recording else {"ingest", "hands", "segment", "fuse", "track", "score"}
         skipped |= {"plan", "trials"} - set(self.sections)
         return [stage for stage in STAGES.values() if stage.name not in skipped]
 
@@ -97,7 +100,10 @@ def parse_setting(text: str) -> tuple[Stage, str, Any]:
     place, equals, value = text.partition("=")
     stage, dot, setting = place.strip().partition(".")
     if not equals or not dot or stage not in STAGES:
-        raise UsageError(f"cannot read --set {text}", hint="use STAGE.SETTING=VALUE, as in --set track.stiffness=0.1")
+        raise UsageError(
+            f"cannot read --set {text}",
+            hint="use STAGE.SETTING=VALUE, as in --set track.stiffness=0.1 or train.piegraph.steps=500",
+        )
     try:
         return STAGES[stage], setting, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -110,13 +116,15 @@ def _validate(stage: Stage, values: Mapping[str, Any], where: str) -> Params:
     except ValidationError as error:
         problem = error.errors()[0]
         setting = ".".join([stage.name, *(str(part) for part in problem["loc"])])
-        known = ", ".join(stage.params.model_fields)
+        known = ", ".join(field.alias or name for name, field in stage.params.model_fields.items())
         hint = (
             f"settings of {stage.name}: {known}"
             if problem["type"] == "extra_forbidden"
             else f"piegraph {stage.name} --help"
         )
-        message = "unknown setting" if problem["type"] == "extra_forbidden" else problem["msg"]
+        message = (
+            "unknown setting" if problem["type"] == "extra_forbidden" else problem["msg"].removeprefix("Value error, ")
+        )
         raise UsageError(f"{setting}: {message}", where, hint) from None
 
 

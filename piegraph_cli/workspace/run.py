@@ -10,11 +10,29 @@ from typing import Any
 from filelock import FileLock
 
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
-from piegraph_cli.params import IngestParams, Params, SimulateParams, TrialParams, TrialsParams
+from piegraph_cli.params import (
+    EvaluateParams,
+    IngestParams,
+    Params,
+    PlanParams,
+    SimulateParams,
+    TrainParams,
+    TrialParams,
+    TrialsParams,
+)
 from piegraph_cli.recording.layout import list_sequences
 from piegraph_cli.stages import STAGES, Stage
 from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_header, read_key
-from piegraph_cli.workspace.grid import trial_names, trial_params
+from piegraph_cli.workspace.grid import (
+    evaluate_params,
+    evaluated_names,
+    model_name,
+    model_params,
+    trained_name,
+    trained_names,
+    trial_names,
+    trial_params,
+)
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 
 
@@ -46,9 +64,9 @@ class Run:
         """Where an artifact is."""
         return self.folder / artifact / f"{sequence}.h5" if sequence else self.folder / f"{artifact}.h5"
 
-    def checkpoint(self, stage: Stage) -> Path:
+    def checkpoint(self, stage: Stage, unit: str | None) -> Path:
         """Where a long stage keeps its state until it is done."""
-        return self.folder / "checkpoints" / f"{stage.name}.h5"
+        return self.folder / "checkpoints" / f"{stage.name}.{unit}.h5"
 
     def lock(self, name: str) -> FileLock:
         """The lock that keeps two processes from making the same artifact."""
@@ -86,35 +104,57 @@ class Run:
         return params.recording
 
     def units(self, stage: Stage) -> list[str | None]:
-        """What a stage works through: the run's sequences, its trials, or the run itself (None)."""
-        if stage.per == "trial":
-            params = self.recipe.params(stage)
-            assert isinstance(params, TrialsParams)
-            return list(trial_names(params))
-        return list(self.sequences) if stage.per == "sequence" else [None]
-
-    def params(self, stage: Stage, unit: str | None) -> Params:
-        """The settings that one unit of a stage depends on: the stage's, or those of one trial alone."""
+        """What a stage works through: the run's sequences, its models, its trials, or the run itself (None)."""
         params = self.recipe.params(stage)
         if isinstance(params, TrialsParams):
-            assert unit is not None
-            return trial_params(params, unit, params.trained or self.folder.resolve().parent)
+            return list(trial_names(params))
+        if isinstance(params, TrainParams):
+            return list(trained_names(params))
+        if isinstance(params, EvaluateParams):
+            return list(evaluated_names(params, self._train))
+        return list(self.sequences) if stage.per == "sequence" else [None]
+
+    @property
+    def _train(self) -> TrainParams:
+        params = self.recipe.params(STAGES["train"])
+        assert isinstance(params, TrainParams)
         return params
 
-    def inputs(self, stage: Stage, sequence: str | None) -> list[tuple[str, str | None]]:
-        """The (artifact, sequence) files a stage reads; sequences that failed earlier are left out of a run's stage."""
+    def params(self, stage: Stage, unit: str | None) -> Params:
+        """The settings that one unit of a stage depends on: the stage's, or those of one model or trial alone."""
+        params = self.recipe.params(stage)
+        if unit is not None and isinstance(params, TrialsParams):
+            return trial_params(params, unit, params.trained or self.folder.resolve().parent)
+        if unit is not None and isinstance(params, TrainParams):
+            return model_params(params, unit)
+        if unit is not None and isinstance(params, EvaluateParams):
+            return evaluate_params(params, unit)
+        return params
+
+    def inputs(self, stage: Stage, unit: str | None) -> list[tuple[str, str | None]]:
+        """The (artifact, unit) files a stage reads; sequences that failed earlier are left out of what reads them all."""
         chain = {s.writes for s in self.recipe.chain()}
-        names = [n for n in (*stage.reads, *stage.scores) if n in chain or n in stage.reads]
+        names = [n for n in (*stage.reads, *stage.optional) if n in chain or n in stage.reads]
         files: list[tuple[str, str | None]] = []
         for name in names:
             producer = self.producer(name)
             if producer.per == "run":
                 files.append((name, None))
-            elif sequence is not None:
-                files.append((name, sequence))
+            elif producer.per == "model":
+                model = self._model_of(stage, unit)
+                files += [(name, model)] if model else []
+            elif stage.per == "sequence":
+                files.append((name, unit))
             else:
                 files += [(name, s) for s in self.sequences if not self.failure(producer, s)]
         return files
+
+    def _model_of(self, stage: Stage, unit: str | None) -> str | None:
+        """The trained model that a unit of `evaluate`, or `plan`, reads."""
+        params = self.recipe.params(stage)
+        if isinstance(params, PlanParams):
+            return trained_name(model_name(params.model, self._train.seeds[0]))
+        return trained_name(str(unit))
 
     def key(self, stage: Stage, sequence: str | None) -> str:
         """The key the stage's artifact has when it is fresh: a hash of the stage, its settings and its inputs' keys."""
@@ -154,7 +194,8 @@ class Run:
         if header.version != stage.version:
             return f"made by version {header.version} of the stage, this is version {stage.version}"
         settings = self.params(stage, sequence).model_dump(mode="json")
-        changed = [name for name, value in settings.items() if header.params.get(name) != value]
+        now, then = (values | values.get("settings", {}) | {"settings": None} for values in (settings, header.params))
+        changed = [name for name, value in now.items() if then.get(name) != value]
         return f"settings changed: {', '.join(changed)}" if changed else "what it was made from has changed"
 
     def state(self, stage: Stage, sequence: str | None) -> str:
@@ -170,7 +211,7 @@ class Run:
         """Why this stage, or one before it, failed on a sequence with the settings in force; None where none did."""
         for earlier in self.recipe.chain():
             record = self.failures.get(f"{earlier.name}/{sequence}")
-            if earlier.per != "run" and record and record["key"] == self.key(earlier, sequence):
+            if earlier.per == stage.per and record and record["key"] == self.key(earlier, sequence):
                 return record["message"]
             if earlier == stage:
                 break

@@ -85,6 +85,11 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "mode": Field("frame", "0 push, 1 pick", "uint8"),
         **_HAND_PATH,
     },
+    "scores": {
+        "score_name": Field("score", "text", TEXT),
+        "score_value": Field("score", "see score_name", "float64", nan=True),
+        "true_positions": Field("true_frame,particle,xyz", "m", "float32"),
+    },
     "dataset": {
         "positions": Field("frame,particle,xyz", "m", "float32"),
         "end_effector": Field("frame,xy", "m", "float32"),
@@ -101,13 +106,13 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "weights/*": Field("*", "1", "float32"),
         "particles": Field("", "1", "int64"),
         "modes": Field("mode", "0 push, 1 pick", "uint8"),
+        "pace": Field("", "m a frame", "float64"),
         "step": Field("record", "1", "int64"),
-        "train_loss": Field("record", "dm^2", "float64"),
-        "validation_loss": Field("record", "dm^2", "float64", nan=True),
+        "train_loss": Field("record", "the model's own", "float64"),
+        "validation_loss": Field("record", "the model's own", "float64", nan=True),
     },
     "checkpoint": {"state/*": Field("*", "1", "*", nan=True)},
     "metrics": {
-        "model": Field("row", "text", TEXT),
         "horizon": Field("row", "stroke", "int64"),
         "sequence": Field("row", "text", TEXT),
         "first_stroke": Field("row", "stroke", "int64"),
@@ -115,9 +120,6 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "s": Field("row", "cm^2", "float64"),
         "pd": Field("row", "cm", "float64"),
         "pd_truth": Field("row", "cm", "float64", nan=True),
-        "score_name": Field("score", "text", TEXT),
-        "score_sequence": Field("score", "text", TEXT),
-        "score_value": Field("score", "see score_name", "float64", nan=True),
     },
     "plan": {
         "goal": Field("episode,goal_point,xyz", "m", "float32"),

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.examples import Pairs
 from piegraph_cli.dynamics.losses import dynamics_loss
-from piegraph_cli.dynamics.training import Pairs, Trainer
+from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import TrainParams
+from piegraph_cli.params import EGNNParams
+from piegraph_cli.stages.train import make_network
 
-PARAMS = TrainParams(hidden=8, layers=2, steps=30)
+PARAMS = EGNNParams(hidden=8, layers=2, steps=30)
 
 
 def pairs(count: int = 40, seed: int = 0) -> Pairs:
@@ -24,16 +26,20 @@ def pairs(count: int = 40, seed: int = 0) -> Pairs:
     return Pairs(start, end, strokes, start, np.arange(count), np.zeros(count), PARAMS.neighbors)
 
 
-def trained(steps: int, trainer: Trainer | None = None, params: TrainParams = PARAMS) -> Trainer:
-    trainer = trainer or Trainer(pairs(), pairs(seed=1), params)
+def trainer_of(examples: Pairs, validation: Pairs | None = None, params: EGNNParams = PARAMS, seed: int = 0) -> Trainer:
+    return Trainer(make_network("piegraph", params, False, seed), examples, validation, params, seed)
+
+
+def trained(steps: int, trainer: Trainer | None = None, seed: int = 0) -> Trainer:
+    trainer = trainer or trainer_of(pairs(), pairs(seed=1), seed=seed)
     for _ in range(steps):
         trainer.step()
     return trainer
 
 
 def test_it_learns():
-    params = TrainParams(hidden=16, layers=2, steps=300)
-    trainer = Trainer(pairs(), pairs(seed=1), params)
+    params = EGNNParams(hidden=16, layers=2, steps=300)
+    trainer = trainer_of(pairs(), pairs(seed=1), params)
     first = trainer.record()[2]
     trained(300, trainer)
     assert trainer.record()[2] < 0.1 * first
@@ -41,7 +47,7 @@ def test_it_learns():
 
 def test_one_seed_one_result_and_another_seed_another():
     first, second = (trained(10).network.state_dict() for _ in range(2))
-    other = trained(10, params=TrainParams(hidden=8, layers=2, steps=30, seed=1)).network.state_dict()
+    other = trained(10, seed=1).network.state_dict()
     assert all(torch.equal(first[name], second[name]) for name in first)
     assert not all(torch.equal(first[name], other[name]) for name in first)
 
@@ -50,7 +56,7 @@ def test_stored_and_taken_up_again_it_ends_in_the_same_bits():
     whole = trained(20)
     whole.record()
     half = trained(12)
-    resumed = Trainer(pairs(), pairs(seed=1), PARAMS)
+    resumed = trainer_of(pairs(), pairs(seed=1))
     resumed.load(half.state())
     trained(8, resumed).record()
     assert resumed.history == whole.history
@@ -69,7 +75,7 @@ def test_the_best_weights_on_validation_are_kept():
 
 
 def test_without_validation_the_last_weights_are_kept():
-    trainer = Trainer(pairs(), None, PARAMS)
+    trainer = trainer_of(pairs())
     trained(3, trainer).record()
     trained(3, trainer).record()
     assert all(torch.equal(trainer.best[n], v) for n, v in trainer.network.state_dict().items())
@@ -79,11 +85,11 @@ def test_divergence_and_emptiness_are_errors():
     with pytest.raises(DataError, match="diverged"):
         broken = pairs()
         broken.end *= torch.nan
-        Trainer(broken, None, PARAMS).step()
+        trainer_of(broken).step()
     empty = pairs(1)
     empty.start = empty.start[:0]
-    with pytest.raises(DataError, match="no training pairs"):
-        Trainer(empty, None, PARAMS)
+    with pytest.raises(DataError, match="nothing to train on"):
+        trainer_of(empty)
 
 
 def test_the_loss_is_mean_square_plus_shape():
@@ -108,11 +114,13 @@ def test_mirrored_training_predicts_mirrored_scenes():
     start[..., :2] += left[:, None] * 2.0  # all of it lies to the left
     end[..., :2] += left[:, None] * 2.0
     strokes = np.concatenate([begin, begin + motion, np.zeros((60, 3))], 1)
-    seen = Pairs(start, end, strokes, start, np.arange(60), np.zeros(60), PARAMS.neighbors)
-    every, all_mirrored = torch.arange(60), torch.ones(60, dtype=torch.bool)
+    flip = [1, -1, 1]
+    flipped = strokes * [1, -1, 1, -1, 1, 1, 1]
+    unseen = Pairs(start * flip, end * flip, flipped, start * flip, np.arange(60), np.zeros(60), PARAMS.neighbors)
     losses = {}
     for mirror in (False, True):
-        trainer = trained(200, Trainer(seen, None, TrainParams(hidden=8, layers=2, steps=200, mirror=mirror)))
+        seen = Pairs(start, end, strokes, start, np.arange(60), np.zeros(60), PARAMS.neighbors, mirror=mirror)
+        trainer = trained(200, trainer_of(seen, params=EGNNParams(hidden=8, layers=2, steps=200)))
         with torch.no_grad():
-            losses[mirror] = seen.loss(trainer.network, every, 0.1, all_mirrored).item()
+            losses[mirror] = unseen.loss(trainer.network, torch.arange(60)).item()
     assert losses[True] < 0.7 * losses[False]

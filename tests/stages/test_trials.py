@@ -16,7 +16,7 @@ from piegraph_cli.evaluation.metrics import chamfer_distance
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
-from piegraph_cli.workspace.grid import UNTRAINED, trial_params
+from piegraph_cli.workspace.grid import trial_params
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 from tests.cli import piegraph, piegraph_json
@@ -31,8 +31,8 @@ def runs(tiny_run, tmp_path):
     """A folder with a trained run of the T-block; runs of trials go beside it."""
     folder = tmp_path / "runs"
     (folder / "tblock").mkdir(parents=True)
-    for name in ("model.h5", "recipe.toml"):
-        shutil.copy(tiny_run / name, folder / "tblock" / name)
+    shutil.copytree(tiny_run / "model", folder / "tblock" / "model")
+    shutil.copy(tiny_run / "recipe.toml", folder / "tblock")
     return folder
 
 
@@ -106,16 +106,19 @@ def test_keys_follow_the_network_and_the_planning_settings_of_the_trained_run(ru
         text.replace('env = "tblock"', 'env = "tblock"\nepisodes = 5\nseed = 8')
     )
     assert keys(runs / "paper") == before
-    (runs / "tblock" / "model.h5").unlink()
+    (runs / "tblock" / "model" / "piegraph.seed0.h5").unlink()
     assert {name for name, key in keys(runs / "paper").items() if key != before[name]} == {
         name for name in before if "piegraph" in name
     }
 
 
-def test_what_needs_no_network_is_that_of_the_table():
-    from piegraph_cli.dynamics.models import MODELS
-
-    assert set(UNTRAINED) == {name for name, model in MODELS.items() if not model.network} | {"greedy"}
+def test_starts_take_turns_with_the_seeds_of_the_trained_run(runs):
+    text = (runs / "tblock" / "recipe.toml").read_text()
+    (runs / "tblock" / "recipe.toml").write_text(text.replace("[train]", "[train]\nseeds = [4, 7]"))
+    run = Run(runs / "paper", Recipe({"trials": SMALL | {"models": ["piegraph-ng@20", "sms-no"], "seeds": 3}}))
+    found = [run.params(STAGE, name).network for name in run.units(STAGE)]
+    names = [f"piegraph@20.seed{seed}.h5" for seed in (4, 7, 4)]
+    assert [path and path.name for path in found] == [n for name in names for n in (name, None)]
 
 
 def test_greedy_is_a_planner_without_a_network(runs):
@@ -126,19 +129,19 @@ def test_greedy_is_a_planner_without_a_network(runs):
 
 
 def test_a_network_that_is_not_trained_fails_its_trials_alone(runs):
-    (runs / "tblock" / "model.h5").rename(runs / "kept.h5")
+    (runs / "tblock" / "model" / "piegraph.seed0.h5").rename(runs / "kept.h5")
     states, failed = play(runs / "paper")
     assert {name.split(".")[1] for name, state in states.items() if state == "failed"} == {"piegraph"}
     assert {name.split(".")[1] for name, state in states.items() if state == "done"} == {"static"}
     error = failed["tblock.piegraph.goal00.seed00"]
     assert isinstance(error, DataError)
-    assert "no network is trained for tblock" in str(error)
+    assert "piegraph is not trained for tblock" in str(error)
     assert f"piegraph run tblock --run {runs}/tblock" in str(error)
     assert (
-        "no network"
+        "is not trained"
         in json.loads((runs / "paper" / "failures.json").read_text())["trials/tblock.piegraph.goal00.seed01"]["message"]
     )
-    (runs / "kept.h5").rename(runs / "tblock" / "model.h5")
+    (runs / "kept.h5").rename(runs / "tblock" / "model" / "piegraph.seed0.h5")
     states, _ = play(runs / "paper")
     assert {name.split(".")[1] for name, state in states.items() if state == "done"} == {"piegraph"}
     assert json.loads((runs / "paper" / "failures.json").read_text()) == {}

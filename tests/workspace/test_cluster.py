@@ -70,8 +70,8 @@ def wait_for(condition, seconds=60.0):
 def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     runs = tmp_path / "runs"
     (runs / "tblock").mkdir(parents=True)
-    for name in ("model.h5", "recipe.toml"):
-        shutil.copy(tiny_run / name, runs / "tblock" / name)
+    shutil.copytree(tiny_run / "model", runs / "tblock" / "model")
+    shutil.copy(tiny_run / "recipe.toml", runs / "tblock")
     (node,) = cluster.worker_nodes
     raylet, done = process_of(node), runs / "paper" / "trials"
     options = [f"--{name}={','.join(value) if isinstance(value, list) else value}" for name, value in SETTINGS.items()]

@@ -25,15 +25,18 @@ def run_of(folder, **sections) -> Run:
 
 def test_a_key_changes_with_setting_version_and_input_and_with_nothing_else(tmp_path, monkeypatch):
     base = {"simulate": {"sequences": 3}, "dataset": {"train": 1}}
-    key = run_of(tmp_path, **base).key(STAGES["train"], None)
-    assert run_of(tmp_path / "elsewhere", **base).key(STAGES["train"], None) == key
-    assert run_of(tmp_path, **base, evaluate={"horizons": [1]}).key(STAGES["train"], None) == key
-    assert run_of(tmp_path, **base, train={"seed": 1}).key(STAGES["train"], None) != key
-    assert run_of(tmp_path, **(base | {"simulate": {"sequences": 3, "seed": 1}})).key(STAGES["train"], None) != key
+    key = run_of(tmp_path, **base).key(STAGES["train"], "piegraph.seed0")
+    assert run_of(tmp_path / "elsewhere", **base).key(STAGES["train"], "piegraph.seed0") == key
+    assert run_of(tmp_path, **base, evaluate={"horizons": [1]}).key(STAGES["train"], "piegraph.seed0") == key
+    assert run_of(tmp_path, **base, train={"piegraph": {"steps": 7}}).key(STAGES["train"], "piegraph.seed0") != key
+    assert (
+        run_of(tmp_path, **(base | {"simulate": {"sequences": 3, "seed": 1}})).key(STAGES["train"], "piegraph.seed0")
+        != key
+    )
     import dataclasses
 
     monkeypatch.setitem(STAGES, "dataset", dataclasses.replace(STAGES["dataset"], version=99))
-    assert run_of(tmp_path, **base).key(STAGES["train"], None) != key
+    assert run_of(tmp_path, **base).key(STAGES["train"], "piegraph.seed0") != key
 
 
 def test_a_recording_is_known_by_its_content(tmp_path):
@@ -57,7 +60,7 @@ def test_a_changed_setting_makes_only_what_depends_on_it_stale(tiny_run, tmp_pat
     shutil.copytree(tiny_run, folder)
     assert {row["state"] for row in status(folder)} == {"fresh"}
     run = Run.open(folder)
-    run.recipe = run.recipe.with_values(STAGES["train"], {"seed": 5}, "test", folder)
+    run.recipe = run.recipe.with_values(STAGES["train"], {"piegraph.steps": 5}, "test", folder)
     run.save_recipe()
     states = {row["stage"]: row["state"] for row in status(folder)}
     assert states == dict.fromkeys(("simulate", "dataset"), "fresh") | dict.fromkeys(
@@ -68,7 +71,7 @@ def test_a_changed_setting_makes_only_what_depends_on_it_stale(tiny_run, tmp_pat
 def test_stale_inputs_are_not_used(tiny_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(tiny_run, folder)
-    (folder / "model.h5").write_bytes(b"cut off")
+    (folder / "model" / "piegraph.seed0.h5").write_bytes(b"cut off")
     outcome = run_stage(folder, STAGES["evaluate"], Options(force=True))[0]
     assert outcome.error is not None
     assert "model is stale" in str(outcome.error)
@@ -106,9 +109,9 @@ def test_runs_with_the_same_seed_are_equal(tiny_recipe, tiny_run, tmp_path):
     ("text", "message"),
     [
         ("[trian]\nsteps = 1", r"unknown section \[trian\]"),
-        ("[train]\nstep = 1", "train.step: unknown setting"),
-        ("[train]\nsteps = 0", "train.steps: Input should be greater"),
-        ("[train]\nsteps = nan", "train.steps"),
+        ("[train.piegraph]\nstep = 1", "train.piegraph.step: unknown setting"),
+        ("[train.piegraph]\nsteps = 0", "train.piegraph.steps: Input should be greater"),
+        ("[train.piegraph]\nsteps = nan", "train.piegraph.steps"),
         ("[train\n", "not a readable TOML file"),
     ],
 )

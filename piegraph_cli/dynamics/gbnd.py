@@ -1,0 +1,90 @@
+"""Graph-based neural dynamics: messages between near particles and a tool node, frame by frame.
+
+Source: the baselines PropNet and AdaptiGraph, in the sizes that docs/method.md gives.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from piegraph_cli.dynamics.egnn import DECIMETRE, gather_neighbors, small_linear
+from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.params import GBNDParams
+
+HISTORY = 3
+ROUNDS = 3
+"""Propagation steps."""
+TOOL_HEIGHT = 0.01
+"""Metres above the table."""
+SCALE = 20.0
+"""Displacements of one frame are some centimetres: in the network they are in units of 5 cm."""
+
+
+def _encoder(inputs: int, width: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+
+
+class GBND(nn.Module):
+    """Particles one frame later, from their last frames and the tool's motion."""
+
+    def __init__(self, params: GBNDParams):
+        super().__init__()
+        self.params = params
+        width = params.hidden
+        self.nodes = _encoder(3 * HISTORY + 1 + 2 + 3, width)
+        self.edges = _encoder(3 + 1 + 1, width)
+        self.receive, self.send = nn.Linear(width, width), nn.Linear(width, width, bias=False)
+        self.relate = nn.Linear(width, width, bias=False)
+        self.update = nn.Linear(2 * width, width)
+        self.head = nn.Sequential(nn.Linear(width, width), nn.ReLU(), small_linear(width, 3))
+
+    def graph(self, positions: Tensor, hand: Tensor) -> tuple[Tensor, Tensor]:
+        """Neighbours [B, N, k + 1] of every particle, the tool (index N) last, and which of these are near [B, N, k + 1]."""
+        count = min(self.params.neighbors, positions.shape[1] - 1)
+        distances = torch.cdist(positions, positions)
+        distances.diagonal(dim1=-2, dim2=-1).fill_(torch.inf)
+        nearest, neighbors = distances.topk(count, largest=False)
+        tool = (positions[..., :2] - hand[:, None]).norm(dim=-1, keepdim=True)
+        number = torch.full_like(neighbors[..., :1], positions.shape[1])
+        return torch.cat([neighbors, number], -1), torch.cat([nearest, tool], -1) < self.params.radius
+
+    def step(self, past: Tensor, hand: Tensor, after: Tensor) -> Tensor:
+        """Particles [B, N, 3] one frame later; past [B, HISTORY + 1, N, 3], hand and where it goes [B, 2] (m)."""
+        x = past[:, -1]
+        batch, particles, _ = x.shape
+        neighbors, near = self.graph(x.detach(), hand)
+        moved = (past[:, 1:] - past[:, :-1]).transpose(1, 2).flatten(2) * SCALE
+        own = torch.cat([moved, x[..., 2:] * DECIMETRE], -1)
+        own = torch.nn.functional.pad(own, (0, 5)) + x.new_tensor([0.0] * (3 * HISTORY + 1) + [1, 0, 0, 0, 0])
+        motion = torch.nn.functional.pad((after - hand) * SCALE, (0, 1))
+        kind = x.new_tensor([0.0] * 3 * HISTORY + [TOOL_HEIGHT * DECIMETRE, 0, 1]).expand(batch, -1)
+        tool = torch.cat([kind, motion], -1)[:, None]
+        nodes = self.nodes(torch.cat([own, tool], 1))
+        place = torch.cat([hand, torch.full_like(hand[:, :1], TOOL_HEIGHT)], -1)[:, None]
+        offset = (x[:, :, None] - gather_neighbors(torch.cat([x, place], 1), neighbors)) * DECIMETRE
+        is_tool = (neighbors == particles).to(x)[..., None]
+        edges = self.edges(torch.cat([offset, (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt(), is_tool], -1))
+        relation, mask, h = self.relate(edges), near.to(x)[..., None], nodes
+        for _ in range(ROUNDS):
+            message = torch.relu(
+                relation + self.receive(h[:, :particles])[:, :, None] + gather_neighbors(self.send(h), neighbors)
+            )
+            gathered = (message * mask).sum(2)
+            own = torch.relu(self.update(torch.cat([nodes[:, :particles], gathered], -1)) + h[:, :particles])
+            h = torch.cat([own, h[:, particles:]], 1)
+        return x + self.head(h[:, :particles]) / SCALE
+
+    def loss(self, window: Window) -> Tensor:
+        """Mean squared particle error plus `edge_weight` times that of neighbours' distances, in dm^2."""
+        past, total = window.past, window.past.new_zeros(())
+        for k in range(window.future.shape[1]):
+            target, hand = window.future[:, k], window.hand[:, k]
+            x = self.step(past, hand, window.hand[:, k + 1])
+            error = ((x - target) * DECIMETRE).square().sum(-1).mean(-1)
+            neighbors = self.graph(target, hand)[0][..., :-1]
+            lengths = [
+                ((p[:, :, None] - gather_neighbors(p, neighbors)).square().sum(-1) + 1e-12).sqrt() for p in (x, target)
+            ]
+            stretch = ((lengths[0] - lengths[1]) * DECIMETRE).square().mean((-1, -2))
+            total = total + ((error + self.params.edge_weight * stretch) * window.valid[:, k]).mean()
+            past = torch.cat([past[:, 1:], x[:, None]], 1)
+        return total / window.future.shape[1]

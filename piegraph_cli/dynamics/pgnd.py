@@ -1,0 +1,139 @@
+"""Particle-Grid Neural Dynamics: particles carry features, a grid around them a velocity field that moves them, frame by frame.
+
+Only grid nodes next to a particle are ever made: a few hundred of 125,000.
+Source: the paper's baseline PGND; sizes and rules as the method notes in docs/method.md give them.
+"""
+
+import math
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from piegraph_cli.dynamics.egnn import small_linear
+from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.params import PGNDParams
+
+FRAME = 0.2
+"""Seconds between frames: recordings and simulations are sampled at 5 Hz."""
+HISTORY = 2
+OCTAVES = 5
+NODES = 50
+"""Grid nodes along each axis."""
+WALL = 3
+"""Nodes next to a wall of the grid, the table among them, through which nothing flows outwards."""
+
+
+def _mlp(*sizes: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for a, b in pairwise(sizes):
+        layers += [nn.Linear(a, b), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+class _Align(nn.Module):
+    """A 3 x 3 matrix from a cloud [B, N, 3], near the identity: PointNet's T-net."""
+
+    def __init__(self):
+        super().__init__()
+        self.points = nn.Sequential(_mlp(3, 64, 128, 1024), nn.ReLU())
+        self.matrix = nn.Sequential(_mlp(1024, 512, 256), nn.ReLU(), small_linear(256, 9))
+
+    def forward(self, points: Tensor) -> Tensor:
+        matrix = self.matrix(self.points(points).amax(1)).view(-1, 3, 3)
+        return matrix + torch.eye(3, dtype=points.dtype, device=points.device)
+
+
+def stencil(positions: Tensor, cell: float) -> tuple[Tensor, Tensor]:
+    """Grid nodes [..., 27, 3] (int64) around positions [..., 3] (m) and their quadratic B-spline weights [..., 27]."""
+    scaled = positions / cell
+    base = (scaled - 0.5).floor()
+    local = scaled - base
+    weights = torch.stack([0.5 * (1.5 - local) ** 2, 0.75 - (local - 1) ** 2, 0.5 * (local - 0.5) ** 2], -1)
+    steps = torch.arange(3, device=positions.device)
+    offsets = torch.cartesian_prod(steps, steps, steps)
+    x, y, z = weights.unbind(-2)
+    product = x[..., :, None, None] * y[..., None, :, None] * z[..., None, None, :]
+    return base.long()[..., None, :] + offsets, product.flatten(-3)
+
+
+def active_nodes(nodes: Tensor) -> tuple[Tensor, Tensor]:
+    """The distinct ones of nodes [B, K, 3], scene by scene: [B, M, 3], and where each of the K is among them [B, K].
+
+    Scenes with fewer than M repeat a node that nothing points to.
+    """
+    batch, count, _ = nodes.shape
+    scene = torch.arange(batch, device=nodes.device)[:, None]
+    inside = nodes.clamp(0, NODES - 1)
+    linear = ((scene * NODES + inside[..., 0]) * NODES + inside[..., 1]) * NODES + inside[..., 2]
+    distinct, place = torch.unique(linear, return_inverse=True)
+    owner = distinct // NODES**3
+    begin = torch.searchsorted(owner, torch.arange(batch + 1, device=nodes.device))
+    most = int((begin[1:] - begin[:-1]).max())
+    rows = torch.minimum(begin[:-1, None] + torch.arange(most, device=nodes.device), begin[1:, None] - 1)
+    code = distinct[rows] % NODES**3
+    found = torch.stack([code // NODES**2, code // NODES % NODES, code % NODES], -1)
+    return found, place.view(batch, count) - begin[:-1, None]
+
+
+class PGND(nn.Module):
+    """The velocity field of a grid around particles, and the particles' motion in it."""
+
+    def __init__(self, params: PGNDParams):
+        super().__init__()
+        self.params = params
+        self.align = _Align()
+        self.encode = _mlp(6 * (HISTORY + 1), 64, 128, 64)
+        self.decode = nn.Sequential(_mlp(3 + 6 * OCTAVES + 64, 64, 64, 32), nn.ReLU(), small_linear(32, 3))
+
+    def features(self, past: Tensor) -> Tensor:
+        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last)."""
+        centre = past[:, -1].mean(1)
+        centre = torch.cat([centre[:, :2], torch.zeros_like(centre[:, 2:])], -1)[:, None, None]
+        x = past[:, 1:] - centre
+        velocity = 2 * (past[:, 1:] - past[:, :-1]) / FRAME
+        x, velocity = x.flip(1), velocity.flip(1)
+        aligned = x[:, 0] @ self.align(x[:, 0])
+        rows = [aligned, velocity[:, 0], *x[:, 1:].unbind(1), *velocity[:, 1:].unbind(1)]
+        return self.encode(torch.cat(rows, -1))
+
+    def field(self, nodes: Tensor, positions: Tensor, features: Tensor, hand: Tensor, motion: Tensor) -> Tensor:
+        """Velocities [B, M, 3] (m/s) at nodes [B, M, 3] (m, of the grid's frame).
+
+        positions [B, N, 3] and hand [B, 2] in the same frame; motion [B, 2]: the hand's in one frame (m).
+        """
+        near = (torch.cdist(nodes, positions) < self.params.reach).to(features)
+        feature = near @ features / near.sum(-1, keepdim=True).clamp_min(1)
+        centre = torch.cat([positions.mean(1)[:, :2], torch.zeros_like(positions[:, 0, 2:])], -1)
+        place = (nodes - centre[:, None]) * math.pi
+        waves = torch.cat([place * 2**k for k in range(OCTAVES)], -1)
+        velocity = self.decode(torch.cat([place, waves.sin(), waves.cos(), feature], -1))
+        held = (nodes[..., :2] - hand[:, None]).norm(dim=-1, keepdim=True) < self.params.gripper
+        rigid = torch.nn.functional.pad(motion / FRAME, (0, 1))[:, None]
+        velocity = torch.where(held, rigid, velocity)
+        edge = (WALL + 0.5) * self.params.cell
+        far = NODES * self.params.cell - edge
+        velocity = torch.where(nodes < edge, velocity.clamp_min(0), velocity)
+        return torch.where(nodes > far, velocity.clamp_max(0), velocity)
+
+    def step(self, past: Tensor, hand: Tensor, after: Tensor) -> Tensor:
+        """Particles [B, N, 3] one frame later, while the hand goes from `hand` to `after` [B, 2] (m)."""
+        cell = self.params.cell
+        middle = past[:, -1].mean(1)[:, :2]
+        origin = torch.cat([NODES * cell / 2 - middle, torch.full_like(middle[:, :1], WALL * cell)], -1)
+        x = past[:, -1] + origin[:, None]
+        touched, weights = stencil(x, cell)
+        nodes, place = active_nodes(touched.flatten(1, 2))
+        velocity = self.field(nodes * cell, x, self.features(past), hand + origin[:, :2], after - hand)
+        around = velocity.gather(1, place[..., None].expand(-1, -1, 3)).view(*touched.shape)
+        return past[:, -1] + FRAME * (weights[..., None] * around).sum(2)
+
+    def loss(self, window: Window) -> Tensor:
+        """100 times the mean squared particle error (m^2) over the frames of a window."""
+        past, total = window.past, window.past.new_zeros(())
+        for k in range(window.future.shape[1]):
+            x = self.step(past, window.hand[:, k], window.hand[:, k + 1])
+            error = (x - window.future[:, k]).square().sum(-1).mean(-1)
+            total = total + 100 * (error * window.valid[:, k]).mean()
+            past = torch.cat([past[:, 1:], x[:, None]], 1)
+        return total / window.future.shape[1]

@@ -19,7 +19,7 @@ import typer
 
 from piegraph_cli import __version__
 from piegraph_cli.errors import PiegraphError, UsageError
-from piegraph_cli.params import LEARNED, Params, SimulateParams, TrainParams, trained_label
+from piegraph_cli.params import LEARNED, Params, SimulateParams, TrainParams, split_label, trained_label
 from piegraph_cli.stages import STAGES, Stage
 
 app = typer.Typer(
@@ -353,7 +353,7 @@ def _train(
     if model is not None:
         section["models"] = [*kept.get("models", ()), model]
     if given:
-        own = (trained_label(model) or model).partition("@")[0] if model else "piegraph"
+        own = split_label(trained_label(model) or model)[0] if model else "piegraph"
         section[own] = kept.get(own, {}) | given
     opened.recipe = opened.recipe.with_values(stage, section, "piegraph train", Path.cwd())
     _require_run(run)
@@ -397,6 +397,42 @@ def report(run: RunFolder, as_json: AsJson = False) -> None:
     with _logging_to(run):
         files = draw_report(run)
     _emit(_Report({"pictures": [str(f) for f in files]}, [str(f) for f in files]), as_json)
+
+
+@app.command()
+def reproduce(
+    experiment: Annotated[str, typer.Argument(help="an experiment by name, or all (docs/experiments.md)")],
+    runs: Annotated[
+        Path | None,
+        typer.Option(help="folder of the experiments' runs [default: runs/paper, or runs/quick with --quick]"),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="minutes in place of hours: fewer sequences, seeds and steps")
+    ] = False,
+    show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
+    jobs: Jobs = 1,
+    backend: Backend = "local",
+    device: Device = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Run an experiment of the paper, and print its table.
+
+    Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
+    """
+    from piegraph_cli.experiments.run import load_experiment, names, run_experiment, write_report
+    from piegraph_cli.workspace.execute import Options
+
+    folder = runs or Path("runs") / ("quick" if quick else "paper")
+    chosen = {name: load_experiment(name, quick) for name in ([experiment] if experiment != "all" else names())}
+    values, lines, code = {}, [], 0
+    for name, params in chosen.items():
+        with _logging_to(folder):
+            failed = [] if show else run_experiment(name, params, folder, Options((), False, jobs, backend, device))  # type: ignore[arg-type]
+            value, text, pictures = write_report(name, params, folder)
+        code = code or (failed[0].exit_code if failed else 0)
+        values[name] = value | {"pictures": [str(p) for p in pictures], "failed": [str(e) for e in failed]}
+        lines += ["", *text, "", *map(str, pictures)]
+    _emit(_Report(values, lines[1:], code), as_json)
 
 
 @app.command()

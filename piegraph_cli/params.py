@@ -3,10 +3,22 @@
 Nothing heavy is imported here, so that `piegraph --help` answers at once. The core takes these models as they are.
 """
 
+import re
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    ValidationError,
+    model_validator,
+)
+
+from piegraph_cli.errors import UsageError
 
 
 def _split(value: object) -> object:
@@ -55,26 +67,32 @@ TRAINED_AS = {"piegraph-ng": "piegraph", "kabsch": "piegraph", "static": None, "
 """Whose weights a model uses that has none of its own."""
 
 
-def split_label(label: str) -> tuple[str, int | None]:
-    """Model and number of training sequences of `pgnd@20`; None for all that the dataset has."""
-    name, at, count = label.partition("@")
-    return name, int(count) if at else None
+def split_label(label: str) -> tuple[str, str, int | None]:
+    """Model, variant of its settings and number of training sequences of `pgnd:fine@20`; "" and None where not given."""
+    model, _, count = label.partition("@")
+    name, _, variant = model.partition(":")
+    return name, variant, int(count) if count else None
 
 
 def trained_label(label: str) -> str | None:
     """What must be trained for a model: `piegraph@20` for `piegraph-ng@20`; None where nothing is."""
-    name, at, count = label.partition("@")
+    name = re.split("[:@]", label, maxsplit=1)[0]
     own = TRAINED_AS.get(name, name)
-    return None if own is None else own + at + count
+    return None if own is None else own + label[len(name) :]
+
+
+_LABEL = re.compile(r"([a-z-]+)(:[a-z0-9_-]+)?(@[1-9][0-9]*)?")
 
 
 def _check_label(label: str) -> str:
-    name, at, count = label.partition("@")
-    if name not in get_args(ModelName):
-        raise ValueError(f"no model {name}: {', '.join(get_args(ModelName))}")
-    if at and not (count.isdigit() and int(count) > 0 and trained_label(name)):
-        raise ValueError(f"{label}: after @ comes the number of sequences that a trained model learns from")
-    return name + at + (str(int(count)) if at else "")
+    parts = _LABEL.fullmatch(label)
+    if parts is None:
+        raise ValueError(f"{label!r} is no model: give NAME, NAME@SEQUENCES or NAME:VARIANT@SEQUENCES")
+    if parts[1] not in get_args(ModelName):
+        raise ValueError(f"no model {parts[1]}: {', '.join(get_args(ModelName))}")
+    if trained_label(parts[1]) is None and parts[1] != label:
+        raise ValueError(f"{label}: {parts[1]} is not trained, so it has no variants and learns from no sequences")
+    return label
 
 
 def _check_trainable(label: str) -> str:
@@ -85,7 +103,7 @@ def _check_trainable(label: str) -> str:
 
 
 Label = Annotated[str, AfterValidator(_check_label)]
-"""A model by name, and after @ the number of sequences it learned from where these are not all: `pgnd@20`."""
+"""A model by name; after : a variant of its settings (`train.variants`), after @ how many sequences it learns from."""
 Labels = Annotated[tuple[Label, ...], BeforeValidator(_split), Field(min_length=1)]
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(_split), Field(min_length=1)]
 Pose2 = Annotated[tuple[float, float, float], BeforeValidator(_split)]
@@ -379,10 +397,23 @@ class TrainParams(Params):
     sms_o: SMSParams = Field(SMSParams(), alias="sms-o", description="its settings")
     pgnd: PGNDParams = Field(PGNDParams(), description="its settings")
     gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
+    variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
 
     def of(self, label: str) -> LearningParams:
-        """The settings of one model."""
-        return getattr(self, split_label(label)[0].replace("-", "_"))
+        """The settings of one model. Raises `UsageError` for a variant that is not declared or does not fit the model."""
+        name, variant, _ = split_label(label)
+        settings: LearningParams = getattr(self, name.replace("-", "_"))
+        if not variant:
+            return settings
+        key = f"{name}:{variant}"
+        if key not in self.variants:
+            raise UsageError(f"no variant {key}", "train.variants", f'a section [train.variants."{key}"] in the recipe')
+        try:
+            return type(settings).model_validate(settings.model_dump() | self.variants[key])
+        except ValidationError as error:
+            problem = error.errors()[0]
+            place = ".".join(map(str, problem["loc"]))
+            raise UsageError(f"{place}: {problem['msg']}", f'train.variants."{key}"', "correct the recipe") from None
 
 
 LEARNED: dict[str, type[LearningParams]] = {
@@ -396,7 +427,7 @@ LEARNED: dict[str, type[LearningParams]] = {
 class ModelParams(Params):
     """Everything that one trained model depends on."""
 
-    label: str = Field(description="model, and number of training sequences after @")
+    label: str = Field(description="model; after : a variant, after @ the number of training sequences")
     seed: int = Field(ge=0, description="seed of weights, batches and choice of sequences")
     settings: SerializeAsAny[LearningParams] = Field(description="settings of the model")
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
@@ -434,7 +465,7 @@ class EvaluateParams(PredictionParams):
 class ModelEvaluateParams(PredictionParams):
     """Everything that the evaluation of one model depends on, beside what it learned."""
 
-    label: str = Field(description="model, and number of training sequences after @")
+    label: str = Field(description="model; after : a variant, after @ the number of training sequences")
     horizons: Counts = Field(description="strokes predicted in a row")
 
 
@@ -528,3 +559,63 @@ class TrialParams(Params):
     def files(self) -> dict[str, Path]:
         """None: the network counts by the key of its artifact, and may be missing."""
         return {}
+
+
+class ExperimentTrials(Params):
+    """The planning of an experiment."""
+
+    models: TrialLabels = Field(description="models that plan, by name")
+    goals: int = Field(ge=1, description="goals per environment")
+    seeds: int = Field(ge=1, description="starts per goal")
+    strokes: int = Field(ge=1, description="most strokes in one trial")
+    thresholds: Thresholds = Field((0.02, 0.03, 0.05, 0.1), description="distances that count as success [m]")
+
+
+class ExperimentParams(Params):
+    """An experiment: runs of the shipped recipes of some environments, and the table that they end in."""
+
+    title: str = Field(description="what it shows")
+    table: Literal["dynamics", "guidance", "interactions", "search"] = Field(description="the table it ends in")
+    interactions: dict[EnvironmentName, Counts] = Field(description="training sequences, by environment", min_length=1)
+    models: Labels = Field(description="models to compare, by name")
+    variants: dict[str, dict[str, Any]] = Field({}, description="as `train.variants`")
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = Field(
+        (0, 1, 2), description="seeds of training"
+    )
+    training: int = Field(100, ge=1, description="simulated sequences that training ones are chosen from")
+    validation: int = Field(10, ge=0, description="sequences that the best weights are chosen on")
+    test: int = Field(100, ge=1, description="held-out sequences")
+    strokes: int = Field(4, ge=1, description="strokes per sequence")
+    horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
+    recordings: bool = Field(
+        False, description="render recordings and see them through the pipeline, or true particles"
+    )
+    steps: float = Field(1.0, gt=0, description="share of the recipes' training steps")
+    trials: ExperimentTrials | None = Field(None, description="planning with the trained models")
+    paper: dict[str, dict[str, tuple[float, ...]]] = Field(
+        {}, description="the paper's figures, by environment and row"
+    )
+
+    @model_validator(mode="after")
+    def _check_counts(self) -> "ExperimentParams":
+        most = max(n for counts in self.interactions.values() for n in counts)
+        if most > self.training:
+            raise ValueError(f"{most} interactions cannot be chosen of {self.training} training sequences")
+        return self
+
+    def labels(self, environment: str) -> list[str]:
+        """The models to compare in an environment, each with its number of training sequences."""
+        counts = self.interactions[environment]  # type: ignore[index]
+        return [_on(model, count) for count in counts for model in self.models if trained_label(model)] + [
+            model for model in self.models if not trained_label(model)
+        ]
+
+    def trial_labels(self, environment: str) -> list[str]:
+        """The models that plan in an environment."""
+        assert self.trials is not None
+        counts = self.interactions[environment]  # type: ignore[index]
+        return list(dict.fromkeys(_on(model, n) for n in counts for model in self.trials.models))
+
+
+def _on(model: str, count: int) -> str:
+    return f"{model}@{count}" if trained_label(model) else model

@@ -207,7 +207,7 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     One neighbour list serves every prediction of a graph network: it is cheaper than a new one per state, and more accurate
     over several strokes, since layers of a folded object do not connect. `name` may end in @ and a number of sequences.
     """
-    name, _ = split_label(name)
+    name = split_label(name)[0]
     model = MODELS[name]
     if name == "static":
         return lambda positions, strokes: positions

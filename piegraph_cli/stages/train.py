@@ -24,7 +24,7 @@ def run(inputs: dict[str, Artifact], params: ModelParams, context: Context) -> O
     """Train one model on the dataset's training sequences."""
     set_up_torch()
     device = choose_device(context.device)
-    name, count = split_label(params.label)
+    name, _, count = split_label(params.label)
     learner = MODELS[name].learner
     assert learner is not None
     data, settings = read_sequences(inputs["dataset"], TRAIN, count, params.seed), params.settings
@@ -110,7 +110,7 @@ def read_sequences(data: Artifact, split: int, count: int | None = None, seed: i
 
 def read_model(model: Artifact) -> Trained:
     """What a model artifact holds. Raises `DataError` where the weights do not fit its settings."""
-    name, _ = split_label(model.params["label"])
+    name = split_label(model.params["label"])[0]
     settings = LEARNED[name].model_validate(model.params["settings"])
     network = make_network(name, settings, PICK in model["modes"], model.params["seed"])
     weights = {

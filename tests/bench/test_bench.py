@@ -8,7 +8,7 @@ from piegraph_cli.bench.measure import Row, table
 from piegraph_cli.bench.run import draw_roofline
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import TrainParams
+from piegraph_cli.params import EGNNParams
 from tests.cli import piegraph, piegraph_json
 
 
@@ -45,9 +45,9 @@ def test_a_wrong_network_is_not_timed(monkeypatch):
 
 
 def test_operations_of_the_network_grow_with_its_size():
-    small, large = (kernels.network_flop(50, TrainParams(hidden=hidden)) for hidden in (32, 64))
+    small, large = (kernels.network_flop(50, EGNNParams(hidden=hidden)) for hidden in (32, 64))
     assert 2 < large / small < 4
-    assert kernels.network_flop(100, TrainParams()) == pytest.approx(2 * kernels.network_flop(50, TrainParams()))
+    assert kernels.network_flop(100, EGNNParams()) == pytest.approx(2 * kernels.network_flop(50, EGNNParams()))
 
 
 def test_the_table_and_the_roofline():

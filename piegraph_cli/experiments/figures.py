@@ -1,0 +1,101 @@
+"""The figures of experiments: errors over horizons and over training data, planning, and what it led to."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from piegraph_cli.evaluation import trial_figures
+from piegraph_cli.evaluation.tables import Metrics, summarise
+from piegraph_cli.evaluation.trials import compare_trials
+from piegraph_cli.experiments.run import Results
+from piegraph_cli.experiments.tables import plain_metrics, plain_trials
+from piegraph_cli.params import ExperimentParams
+from piegraph_cli.workspace.artifact import Artifact
+
+GOAL = "#d62728"
+OBJECT = "#1f4e9c"
+
+
+def draw(params: ExperimentParams, results: Results) -> Iterator[tuple[str, Figure]]:
+    """Name and figure of each that the results allow."""
+    metrics = plain_metrics(params, results) if params.table != "search" else {}
+    if metrics:
+        yield "errors", error_grid(metrics)
+    if params.table == "interactions" and metrics:
+        yield "interactions", interaction_figure(metrics)
+    if results.trials and params.trials:
+        trials, limits = plain_trials(params, results.trials), params.trials.thresholds
+        compared = compare_trials(trials, limits)
+        yield "boxes", trial_figures.box_figure(trials, compared, min(limits), params.trials.strokes)
+        yield "success", trial_figures.success_figure(trials, limits, params.trials.strokes)
+        yield "distance", trial_figures.distance_figure(trials, params.trials.strokes)
+        yield "overlays", overlay_figure(results.shown)
+
+
+def error_grid(metrics: dict[str, Metrics]) -> Figure:
+    """PD (top) and CD+S (bottom) over strokes predicted in a row, a column per environment; bands: 95 % intervals."""
+    figure = Figure(figsize=(max(3.0 * len(metrics), 5.0), 6.0), layout="constrained")
+    grid = figure.subplots(2, len(metrics), squeeze=False)
+    colors = {m: f"C{k}" for k, m in enumerate(dict.fromkeys(model for of in metrics.values() for model in of))}
+    for column, (env, of) in zip(grid.T, metrics.items(), strict=True):
+        rows = summarise(of)
+        for axes, metric, unit in zip(column, ("pd", "cd+s"), ("cm", "cm and cm$^2$"), strict=True):
+            for model in of:
+                own = [row for row in rows if row["model"] == model]
+                mean, low, high = np.array([row[metric] for row in own]).T
+                horizons = [row["horizon"] for row in own]
+                axes.plot(horizons, mean, "o-", ms=3, color=colors[model], label=model)
+                axes.fill_between(horizons, low, high, color=colors[model], alpha=0.15, lw=0)
+            axes.set(xticks=horizons, ylabel=f"{metric.upper()} [{unit}]")
+            axes.set_ylim(bottom=0)
+        column[0].set_title(env, fontsize=10)
+        column[1].set_yscale("log")
+        column[1].set_xlabel("strokes predicted in a row")
+    handles = {label: h for axes in grid[0] for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=7)
+    return figure
+
+
+def interaction_figure(metrics: dict[str, Metrics]) -> Figure:
+    """PD over the number of training sequences, a line per horizon; bands: 95 % intervals."""
+    figure = Figure(figsize=(max(3.0 * len(metrics), 5.0), 3.4), layout="constrained")
+    for axes, (env, of) in zip(figure.subplots(1, len(metrics), squeeze=False)[0], metrics.items(), strict=True):
+        sized = {label: int(n) for label in of for name, _, n in [label.partition("@")] if n and name == "piegraph"}
+        rows = [row | {"count": sized[row["model"]]} for row in summarise(of) if row["model"] in sized]
+        for horizon in sorted({row["horizon"] for row in rows}):
+            own = sorted((row for row in rows if row["horizon"] == horizon), key=lambda row: row["count"])
+            mean, low, high = np.array([row["pd"] for row in own]).T
+            counts = [row["count"] for row in own]
+            axes.plot(counts, mean, "o-", ms=4, label=f"{horizon} strokes ahead")
+            axes.fill_between(counts, low, high, alpha=0.15, lw=0)
+        axes.set(title=env, xlabel="training sequences", ylabel="PD of piegraph [cm]", xticks=counts)
+        axes.set_ylim(bottom=0)
+        axes.legend(fontsize=7)
+    return figure
+
+
+def overlay_figure(shown: dict[str, dict[str, Artifact]]) -> Figure:
+    """One task per environment: the start, then what each model led to, over the goal in red.
+
+    Source: paper, figure "Simulated Planning Results (Qualitative)".
+    """
+    columns = 1 + max(len(of) for of in shown.values())
+    figure = Figure(figsize=(2.5 * columns, 2.6 * len(shown)), layout="constrained")
+    grid = figure.subplots(len(shown), columns, squeeze=False)
+    for row, (env, of) in zip(grid, shown.items(), strict=True):
+        any_trial = next(iter(of.values()))
+        panels: list[tuple[str, Any, Artifact]] = [(f"{env}: start", any_trial["before"][:1], any_trial)]
+        for model, trial in of.items():
+            pd, strokes = trial["pd"][-1] * 100, len(trial["stroke"])
+            panels.append((f"{model}: {pd:.1f} cm, {strokes} strokes", trial["after"][-1:], trial))
+        for axes, (title, state, trial) in zip(row, panels, strict=False):
+            for points in state:
+                axes.scatter(*points[:, :2].T, s=9, color=OBJECT)
+            axes.scatter(*trial["goal"][:, :2].T, s=14, color=GOAL, alpha=0.4, lw=0)
+            axes.set_title(title, fontsize=8)
+        for axes in row:
+            axes.set_aspect("equal")
+            axes.axis("off")
+    return figure

@@ -1,0 +1,203 @@
+"""Experiments by name: their recipes, the runs they need, and what is read from these."""
+
+import json
+import logging
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from piegraph_cli.errors import DataError, PiegraphError, UsageError
+from piegraph_cli.evaluation.trials import Trial
+from piegraph_cli.params import LEARNED, ExperimentParams, SimulateParams, TrainParams, trained_label
+from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact
+from piegraph_cli.workspace.execute import Options, run_chain, run_stage
+from piegraph_cli.workspace.recipe import SHIPPED, Recipe, load_recipe
+from piegraph_cli.workspace.run import Run
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:  # pragma: no cover
+    import tomli as tomllib
+
+log = logging.getLogger("piegraph")
+
+FOLDER = SHIPPED / "experiments"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What the runs of an experiment have, by environment."""
+
+    metrics: dict[str, dict[str, list[Artifact]]]
+    """By environment and model, the metrics of each seed."""
+    models: dict[str, dict[str, list[Artifact]]]
+    """By environment and trained model, what each seed learned."""
+    trials: list[Trial]
+    shown: dict[str, dict[str, Artifact]]
+    """By environment and model, one trial to look at."""
+
+
+def names() -> list[str]:
+    """The experiments, in the order in which `all` runs them."""
+    return sorted(p.stem for p in FOLDER.glob("*.toml"))
+
+
+def load_experiment(name: str, quick: bool) -> ExperimentParams:
+    """The settings of an experiment, those of its [quick] section in place of others where it shall be quick."""
+    path = FOLDER / f"{name}.toml"
+    if name not in names():
+        raise UsageError(f"no experiment {name}", hint=f"one of {', '.join(names())}, all")
+    values = tomllib.loads(path.read_text())
+    smaller = values.pop("quick", {})
+    try:
+        return ExperimentParams.model_validate(values | smaller if quick else values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        place = ".".join(map(str, problem["loc"]))
+        raise UsageError(f"{place}: {problem['msg']}", str(path), "correct the experiment") from None
+
+
+def recipe_of(params: ExperimentParams, environment: str, recording: Path | None) -> Recipe:
+    """The shipped recipe of an environment with the experiment's models, seeds and sizes."""
+    recipe = load_recipe(SHIPPED / f"{environment}.toml")
+
+    def put(stage: str, **values: Any) -> None:
+        nonlocal recipe
+        recipe = recipe.with_values(STAGES[stage], values, "experiment", Path.cwd())
+
+    if recording is None:
+        put("simulate", sequences=params.training + params.validation + params.test, strokes=params.strokes)
+    else:
+        simulate = recipe.sections["simulate"]
+        recipe = replace(recipe, sections={k: v for k, v in recipe.sections.items() if k != "simulate"})
+        put("ingest", recording=str(recording.resolve()))
+        if simulate.get("modes") or environment in ("tshirt", "cloth"):
+            put("track", mode="pick")
+    put("dataset", train=params.training, validation=params.validation)
+    labels = params.labels(environment)
+    trained = list(dict.fromkeys(own for label in labels if (own := trained_label(label))))
+    put("train", models=trained or ["piegraph"], seeds=list(params.seeds), variants=params.variants)
+    train = recipe.params(STAGES["train"])
+    assert isinstance(train, TrainParams)
+    if params.steps != 1:
+        put("train", **{f"{name}.steps": max(10, round(train.of(name).steps * params.steps)) for name in LEARNED})
+    put("evaluate", models=labels, horizons=list(params.horizons))
+    return recipe
+
+
+def run_experiment(name: str, params: ExperimentParams, folder: Path, options: Options) -> list[PiegraphError]:
+    """Do what the experiment's runs under `folder` lack; returns what failed."""
+    failed: list[PiegraphError] = []
+    last = "train" if params.table == "search" else "evaluate"
+    for environment in params.interactions:
+        own, recording = folder / environment, None
+        if params.recordings:
+            own, recording = folder / f"{environment}-recorded", folder / "recordings" / environment
+            _render(recording, params, environment, options.jobs)
+        recipe = recipe_of(params, environment, recording)
+        log.info("%s: %s", name, own)
+        outcomes = run_chain(own, last, replace(options, recipe=recipe))
+        failed += [o.error for o in outcomes if o.error]
+        Run(own, recipe).save_recipe()
+    for environment in params.interactions if params.trials else ():
+        log.info("%s: %s", name, folder / name / environment)
+        recipe = trial_recipe(params, environment, folder)
+        outcomes = run_stage(folder / name / environment, STAGES["trials"], replace(options, recipe=recipe))
+        failed += [o.error for o in outcomes if o.error]
+        Run(folder / name / environment, recipe).save_recipe()
+    return failed
+
+
+def _render(recording: Path, params: ExperimentParams, environment: str, jobs: int) -> None:
+    from piegraph_cli.stages.simulate import record_sequences
+
+    shipped = load_recipe(SHIPPED / f"{environment}.toml").params(STAGES["simulate"])
+    assert isinstance(shipped, SimulateParams)
+    count = params.training + params.validation + params.test
+    settings = shipped.model_copy(update={"sequences": count, "strokes": params.strokes})
+    record_sequences(recording, settings, jobs=jobs, force=False)
+
+
+def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Recipe:
+    """The grid of trials of an experiment in one environment."""
+    assert params.trials is not None
+    values = params.trials.model_dump(mode="json") | {
+        "envs": [environment],
+        "models": params.trial_labels(environment),
+        "trained": str(folder.resolve()),
+    }
+    return Recipe().with_values(STAGES["trials"], values, "experiment", Path.cwd())
+
+
+def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
+    """What the experiment's runs have that is fresh."""
+    from piegraph_cli.stages.evaluate import read_metrics
+    from piegraph_cli.stages.trials import read_trials
+
+    metrics: dict[str, dict[str, list[Artifact]]] = {}
+    models: dict[str, dict[str, list[Artifact]]] = {}
+    trials: list[Trial] = []
+    shown: dict[str, dict[str, Artifact]] = {}
+    for environment in params.interactions:
+        recording = folder / "recordings" / environment if params.recordings else None
+        own = folder / (f"{environment}-recorded" if params.recordings else environment)
+        run = Run(own, recipe_of(params, environment, recording))
+        metrics[environment] = read_metrics(run)[0]
+        models[environment] = _read_models(run)
+        if params.trials:
+            grid = Run(folder / name / environment, trial_recipe(params, environment, folder))
+            found = read_trials(grid)
+            trials += found
+            shown[environment] = _one_of_each(found, grid)
+    return Results(metrics, models, trials, shown)
+
+
+def _read_models(run: Run) -> dict[str, list[Artifact]]:
+    from piegraph_cli.workspace.grid import split_model
+
+    stage, found = STAGES["train"], {}  # type: ignore[var-annotated]
+    for unit in run.units(stage):
+        if run.state(stage, unit) == "fresh":
+            model = read_artifact(run.path("model", unit), "model", ("validation_loss", "step"))
+            found.setdefault(split_model(str(unit))[0], []).append(model)
+    return found
+
+
+def _one_of_each(trials: list[Trial], run: Run) -> dict[str, Artifact]:
+    """For every model its trial at the task in which the first model's final distance is the median one."""
+    if not trials:
+        return {}
+    first = sorted((t for t in trials if t.model == trials[0].model), key=lambda t: t.pd[-1])
+    task = first[len(first) // 2]
+    same = [t for t in trials if (t.goal, t.seed) == (task.goal, task.seed)]
+    paths = {t.model: f"{t.environment}.{t.model}.goal{t.goal:02d}.seed{t.seed:02d}" for t in same}
+    return {model: read_artifact(run.path("trials", unit), "trials") for model, unit in paths.items()}
+
+
+def write_report(name: str, params: ExperimentParams, folder: Path) -> tuple[dict[str, Any], list[str], list[Path]]:
+    """The experiment's tables as an object and as lines, and its pictures; all are kept in `folder`/report.
+
+    Raises `DataError` when nothing has been done yet.
+    """
+    from piegraph_cli.experiments.figures import draw
+    from piegraph_cli.experiments.tables import describe
+
+    results = read_results(name, params, folder)
+    if not any(results.metrics.values()) and not any(results.models.values()):
+        raise DataError("no run of this experiment has results yet", str(folder), f"piegraph reproduce {name}")
+    value, lines = describe(params, results)
+    out = folder / "report"
+    for suffix, text in (("txt", "\n".join(lines)), ("json", json.dumps(value, indent=1))):
+        with atomic_file(out / f"{name}.{suffix}") as temporary:
+            temporary.write_text(text + "\n")
+    pictures = []
+    for kind, figure in draw(params, results):
+        path = out / f"{name}_{kind}.png"
+        with atomic_file(path) as temporary:
+            figure.savefig(temporary, dpi=110, format="png")
+        pictures.append(path)
+    return value, lines, pictures

@@ -10,7 +10,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from piegraph_cli.dynamics.egnn import small_linear
+from piegraph_cli.dynamics.egnn import DECIMETRE, small_linear
 from piegraph_cli.dynamics.examples import Window
 from piegraph_cli.params import PGNDParams
 
@@ -87,15 +87,18 @@ class PGND(nn.Module):
         self.decode = nn.Sequential(_mlp(3 + 6 * OCTAVES + 64, 64, 64, 32), nn.ReLU(), small_linear(32, 3))
 
     def features(self, past: Tensor) -> Tensor:
-        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last)."""
+        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last).
+
+        In decimetres inside, which replaces normalised layers: learning from metres takes several times as many steps.
+        """
         centre = past[:, -1].mean(1)
         centre = torch.cat([centre[:, :2], torch.zeros_like(centre[:, 2:])], -1)[:, None, None]
         x = past[:, 1:] - centre
         velocity = 2 * (past[:, 1:] - past[:, :-1]) / FRAME
         x, velocity = x.flip(1), velocity.flip(1)
-        aligned = x[:, 0] @ self.align(x[:, 0])
+        aligned = x[:, 0] @ self.align(x[:, 0] * DECIMETRE)
         rows = [aligned, velocity[:, 0], *x[:, 1:].unbind(1), *velocity[:, 1:].unbind(1)]
-        return self.encode(torch.cat(rows, -1))
+        return self.encode(torch.cat(rows, -1) * DECIMETRE)
 
     def field(self, nodes: Tensor, positions: Tensor, features: Tensor, hand: Tensor, motion: Tensor) -> Tensor:
         """Velocities [B, M, 3] (m/s) at nodes [B, M, 3] (m, of the grid's frame).
@@ -124,7 +127,7 @@ class PGND(nn.Module):
         x = past[:, -1] + origin[:, None]
         touched, weights = stencil(x, cell)
         nodes, place = active_nodes(touched.flatten(1, 2))
-        velocity = self.field(nodes * cell, x, self.features(past), hand + origin[:, :2], after - hand)
+        velocity = self.field(nodes.to(x) * cell, x, self.features(past), hand + origin[:, :2], after - hand)
         around = velocity.gather(1, place[..., None].expand(-1, -1, 3)).view(*touched.shape)
         return past[:, -1] + FRAME * (weights[..., None] * around).sum(2)
 

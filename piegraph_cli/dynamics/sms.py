@@ -20,11 +20,14 @@ STABLE = 0.8
 
 
 def stroke_path(strokes: Tensor, stride: float, settle: int) -> Tensor:
-    """The hand's path [B, T, 2] (m) under strokes [B, 7], `stride` (m) per iteration, at rest where it ends."""
+    """The hand's path [B, T, 2] (m) under strokes [B, 7], `stride` (m) per iteration.
+
+    At its end it waits for `settle` iterations, and for the longest stroke of the batch.
+    """
     along = strokes[:, 2:4] - strokes[:, :2]
     length = along.norm(dim=1, keepdim=True)
     count = math.ceil(float(length.max()) / stride)
-    travelled = torch.arange(1, count + settle + 1, dtype=strokes.dtype, device=strokes.device) * stride
+    travelled = torch.arange(count + settle + 1, dtype=strokes.dtype, device=strokes.device) * stride
     return strokes[:, None, :2] + (along / length)[:, None] * torch.minimum(travelled[None], length)[..., None]
 
 

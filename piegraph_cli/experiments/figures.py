@@ -49,8 +49,8 @@ def error_grid(metrics: dict[str, Metrics]) -> Figure:
                 axes.plot(horizons, mean, "o-", ms=3, color=colors[model], label=model)
                 axes.fill_between(horizons, low, high, color=colors[model], alpha=0.15, lw=0)
             axes.set(xticks=horizons, ylabel=f"{metric.upper()} [{unit}]")
-            axes.set_ylim(bottom=0)
         column[0].set_title(env, fontsize=10)
+        column[0].set_ylim(bottom=0)
         column[1].set_yscale("log")
         column[1].set_xlabel("strokes predicted in a row")
     handles = {label: h for axes in grid[0] for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
@@ -95,7 +95,10 @@ def overlay_figure(shown: dict[str, dict[str, Artifact]]) -> Figure:
                 axes.scatter(*points[:, :2].T, s=9, color=OBJECT)
             axes.scatter(*trial["goal"][:, :2].T, s=14, color=GOAL, alpha=0.4, lw=0)
             axes.set_title(title, fontsize=8)
+        seen = [any_trial["goal"], *any_trial["before"][:1], *(x for trial in of.values() for x in trial["after"][-1:])]
+        everything = np.concatenate(seen)
+        low, high = everything[:, :2].min(0) - 0.02, everything[:, :2].max(0) + 0.02
         for axes in row:
-            axes.set_aspect("equal")
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
             axes.axis("off")
     return figure

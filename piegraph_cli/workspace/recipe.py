@@ -92,7 +92,7 @@ def shipped() -> list[str]:
 def find_recipe(name: str) -> Path:
     """The path of a recipe given as a file or by the name of a shipped one."""
     path = SHIPPED / f"{name}.toml"
-    return path if name in shipped() and not Path(name).exists() else Path(name)
+    return path if name in shipped() and not Path(name).is_file() else Path(name)
 
 
 def parse_setting(text: str) -> tuple[Stage, str, Any]:

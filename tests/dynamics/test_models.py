@@ -1,0 +1,304 @@
+"""The table of models: one protocol, symmetries where a model has them, sparse against dense grids, gradients of springs."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from piegraph_cli.dynamics import gbnd, pgnd, sms
+from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, move_in_plane, planar_motions
+from piegraph_cli.dynamics.models import MODELS, Trained, make_predict
+from piegraph_cli.dynamics.training import Trainer
+from piegraph_cli.params import LEARNED, TRAINED_AS, ModelName, PredictionParams, SMSParams, trained_label
+from piegraph_cli.physics import simulation
+from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.stages.train import make_network
+
+SMALL = {"piegraph": {"hidden": 8, "layers": 2}, "pgnd": {"rollout": 2}, "gbnd": {"hidden": 16, "rollout": 2}}
+
+
+def settings(name: str):
+    graph = {"hidden": 8, "layers": 2} if name in ("egnn-g", "gnn", "gnn-aug") else {}
+    return LEARNED[name](**SMALL.get(name, graph))
+
+
+def sequences(picks: bool = False, seed: int = 0, particles: int = 24) -> Sequences:
+    """Flat objects that a hand pushes or carries: what it takes along moves with it."""
+    rng = np.random.default_rng(seed)
+    positions, hand, strokes = [], [], []
+    rest = np.concatenate([rng.uniform(-0.1, 0.1, (3, particles, 2)), np.full((3, particles, 1), 0.005)], -1)
+    for index in range(3):
+        state, frames = rest[index], 6
+        angle = rng.uniform(-math.pi, math.pi)
+        along = np.array([math.cos(angle), math.sin(angle)])
+        begin = state[0, :2] if picks else state[:, :2].mean(0) - 0.12 * along
+        path = begin + np.arange(frames)[:, None] * 0.015 * along
+        strokes.append([len(hand), len(hand) + frames - 1])
+        hand += list(path)
+        positions += [state + np.append(max(k - 1, 0) * 0.01 * along, 0) for k in range(frames)]
+    pairs = [[a + i, a + j] for a, b in strokes for i in range(6) for j in range(i + 2, 6)]
+    return Sequences(
+        positions=np.array(positions, np.float32),
+        hand=np.array(hand, np.float32),
+        strokes=np.array(strokes),
+        mode=np.full(3, int(picks), np.uint8),
+        owner=np.arange(3),
+        rest=rest.astype(np.float32),
+        pairs=np.array(pairs),
+        pair_stroke=np.repeat(np.arange(3), len(pairs) // 3),
+    )
+
+
+def untrained(name: str, data: Sequences, seed: int = 0) -> Trained:
+    network = make_network(name, settings(name), data.picks, seed)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.02 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(3)))
+    return Trained(network.eval().requires_grad_(False), settings(name), data.pace)
+
+
+def predictor(name: str, data: Sequences):
+    own = trained_label(name)
+    params = PredictionParams(tension_only=data.picks)
+    return make_predict(name, untrained(own, data) if own else None, torch.as_tensor(data.rest[0]), params)
+
+
+def scenes(data: Sequences, batch: int = 5) -> tuple[torch.Tensor, torch.Tensor]:
+    start = torch.as_tensor(data.rest[:1]).expand(batch, -1, -1).clone()
+    stroke = data.whole()[:1].float().expand(batch, -1).clone()
+    stroke[:, 2:4] = stroke[:, :2] + (stroke[:, 2:4] - stroke[:, :2]) * torch.linspace(0.5, 1.5, batch)[:, None]
+    return start, stroke
+
+
+def test_the_table_is_whole():
+    assert set(MODELS) == set(ModelName.__args__)
+    assert {name for name, model in MODELS.items() if model.learner} == set(LEARNED)
+    assert all(trained_label(name) in (None, *LEARNED) for name in MODELS)
+    assert set(TRAINED_AS) == set(MODELS) - set(LEARNED) | {"greedy"}
+
+
+@pytest.mark.parametrize("picks", [False, True])
+@pytest.mark.parametrize("name", MODELS)
+def test_one_protocol(name, picks):
+    """Finite, of the same shape, one candidate like many, and the input stays.
+
+    Springs alone go on settling until the longest stroke of a batch has ended, which leaves a millimetre.
+    """
+    data = sequences(picks)
+    predict, (start, strokes) = predictor(name, data), scenes(data)
+    kept = start.clone()
+    after = predict(start, strokes)
+    assert after.shape == start.shape
+    assert after.dtype == torch.float32
+    assert torch.isfinite(after).all()
+    assert torch.equal(start, kept)
+    assert (name == "static") == torch.equal(after, start)
+    torch.testing.assert_close(
+        predict(start[1:2], strokes[1:2]), after[1:2], atol=2e-3 if "sms" in name else 2e-5, rtol=0
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name not in ("gnn", "gnn-aug", "pgnd", "gbnd")])
+def test_equivariant_models_turn_with_the_scene(name):
+    data = sequences()
+    start, strokes = scenes(data)
+    motion = planar_motions(np.random.default_rng(1), 1, False, True).float()
+    turned = Sequences(
+        **{**vars(data), "rest": move_in_plane(torch.as_tensor(data.rest), motion.expand(3, -1, -1)).numpy()}
+    )
+    many = motion.expand(len(start), -1, -1)
+    ends = (strokes[:, :4].reshape(-1, 2, 2) @ motion[0].T).reshape(-1, 4)
+    found = predictor(name, turned)(move_in_plane(start, many), torch.cat([ends, strokes[:, 4:]], -1))
+    torch.testing.assert_close(found, move_in_plane(predictor(name, data)(start, strokes), many), atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["gnn", "pgnd", "gbnd"])
+def test_others_do_not_turn_but_move_with_the_scene(name):
+    data = sequences()
+    start, strokes = scenes(data)
+    shift = torch.tensor([0.1, -0.06])
+    moved = Sequences(**{**vars(data), "rest": data.rest + np.append(shift.numpy(), 0).astype(np.float32)})
+    found = predictor(name, moved)(
+        start + torch.nn.functional.pad(shift, (0, 1)), strokes + torch.nn.functional.pad(shift.repeat(2), (0, 3))
+    )
+    expected = predictor(name, data)(start, strokes) + torch.nn.functional.pad(shift, (0, 1))
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_every_trained_model_learns_and_goes_on_from_its_state(name):
+    data = sequences()
+    slow = name == "sms-o"
+    steps = 40 if slow else 200
+    rate = {"steps": steps, "batch": 3, "learning_rate": 0.3 if slow else 5e-3}
+    rate |= {"turn": False, "noise": 0.0} if name in ("pgnd", "gbnd") else {}
+    params = settings(name).model_copy(update=rate)
+    learner = MODELS[name].learner
+    assert learner is not None
+
+    def trainer() -> Trainer:
+        return Trainer(make_network(name, params, False, 0), learner.examples(data, params, "cpu"), None, params, 0)
+
+    def error(one: Trainer) -> float:
+        every = torch.arange(len(one.examples))
+        with torch.no_grad():
+            return float(one.examples.loss(one.network, every))
+
+    whole, half, resumed = trainer(), trainer(), trainer()
+    first = error(whole)
+    for _ in range(12):
+        whole.step()
+    for _ in range(8):
+        half.step()
+    resumed.load(half.state())
+    for _ in range(4):
+        resumed.step()
+    for parameter, expected in zip(resumed.network.parameters(), whole.network.parameters(), strict=True):
+        assert torch.equal(parameter, expected)
+    for _ in range(12, steps):
+        whole.step()
+    assert error(whole) < (0.95 if slow else 0.8) * first
+
+
+def test_windows_begin_at_rest_and_end_with_their_stroke():
+    data = sequences()
+    windows = Windows(data, history=3, rollout=4)
+    first, last = data.strokes[0]
+    assert windows.past[0].tolist() == [first] * 4
+    assert windows.past[2].tolist() == [first, first, first + 1, first + 2]
+    assert windows.valid[0].tolist() == [True] * 4
+    final = last - first - 1
+    assert windows.valid[final].tolist() == [True, False, False, False]
+    assert windows.after[final].tolist() == [last - 1, last, last, last, last]
+    assert len(windows) == sum(b - a for a, b in data.strokes)
+
+
+def test_turned_pairs_are_the_same_physics():
+    """A rotation of the whole scene leaves an equivariant network's loss alone; the plain one sees other data."""
+    data = sequences()
+    losses = {}
+    for name in ("piegraph", "gnn"):
+        network = untrained(name, data).network
+        pairs = Pairs.of(data, 12, turn=True)
+        chosen = torch.arange(len(pairs))
+        losses[name] = [float(pairs.loss(network, chosen, rng)) for rng in (None, np.random.default_rng(0))]
+    assert losses["piegraph"][0] == pytest.approx(losses["piegraph"][1], rel=1e-4)
+    assert abs(losses["gnn"][0] / losses["gnn"][1] - 1) > 1e-3
+
+
+def dense_step(network: pgnd.PGND, past: torch.Tensor, hand: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
+    """`PGND.step` with every node of the grid."""
+    cell = network.params.cell
+    middle = past[:, -1].mean(1)[:, :2]
+    origin = torch.cat([pgnd.NODES * cell / 2 - middle, torch.full_like(middle[:, :1], pgnd.WALL * cell)], -1)
+    x = past[:, -1] + origin[:, None]
+    axis = torch.arange(pgnd.NODES)
+    nodes = torch.cartesian_prod(axis, axis, axis)[None].expand(len(x), -1, -1)
+    velocity = network.field(nodes.to(x) * cell, x, network.features(past), hand + origin[:, :2], after - hand)
+    touched, weights = pgnd.stencil(x, cell)
+    place = (touched[..., 0] * pgnd.NODES + touched[..., 1]) * pgnd.NODES + touched[..., 2]
+    around = velocity.gather(1, place.flatten(1)[..., None].expand(-1, -1, 3)).view(*touched.shape)
+    return past[:, -1] + pgnd.FRAME * (weights[..., None] * around).sum(2)
+
+
+def test_the_sparse_grid_is_the_dense_one():
+    data = sequences()
+    trained = untrained("pgnd", data)
+    network = trained.network.double()
+    past = torch.as_tensor(data.positions[[0, 0, 1, 2, 6, 7, 8, 9]]).double().view(2, 4, -1, 3)
+    hand = torch.as_tensor(data.hand[[2, 9]]).double()
+    after = hand + torch.tensor([0.012, -0.004])
+    with torch.no_grad():
+        sparse, dense = network.step(past, hand, after), dense_step(network, past, hand, after)
+    assert float((sparse - past[:, -1]).norm(dim=-1).max()) > 1e-3
+    torch.testing.assert_close(sparse, dense, atol=1e-12, rtol=0)
+
+
+def test_the_stencil_is_a_partition_of_unity_and_reproduces_places():
+    points = torch.rand(40, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    nodes, weights = pgnd.stencil(points, 0.02)
+    torch.testing.assert_close(weights.sum(-1), torch.ones(40, dtype=torch.float64))
+    torch.testing.assert_close((weights[..., None] * nodes * 0.02).sum(1), points)
+
+
+def test_nodes_at_the_hand_move_with_it_and_nothing_flows_into_the_table():
+    data = sequences()
+    network = untrained("pgnd", data).network
+    with torch.no_grad():
+        network.decode[-1].bias += torch.tensor([0.0, 0.0, -5.0])
+    cell = network.params.cell
+    nodes = torch.tensor([[[0.5, 0.5, 0.1], [0.5, 0.5, pgnd.WALL * cell], [0.9, 0.5, 0.3]]])
+    x, hand = torch.full((1, 8, 3), 0.5), torch.tensor([[0.5, 0.5]])
+    velocity = network.field(nodes, x, torch.zeros(1, 8, 64), hand, torch.tensor([[0.02, 0.0]]))[0]
+    torch.testing.assert_close(velocity[0], torch.tensor([0.1, 0.0, 0.0]))
+    assert velocity[1, 2] == 0
+    assert velocity[2, 2] < -1
+
+
+def test_the_size_of_pgnd_is_the_papers():
+    count = sum(p.numel() for p in make_network("pgnd", settings("pgnd"), False, 0).parameters())
+    assert count == pytest.approx(834_956, rel=0.01)  # that one normalises its layers
+
+
+def test_a_tool_out_of_reach_moves_nothing_differently():
+    network = untrained("gbnd", sequences()).network
+    past = torch.rand(1, 4, 12, 3, generator=torch.Generator().manual_seed(0)) * 0.05
+    far = torch.tensor([[0.5, 0.5]])
+    still, moving = network.step(past, far, far), network.step(past, far, far + 0.03)
+    torch.testing.assert_close(still, moving)
+    near = past[:, -1].mean(1)[:, :2]
+    assert not torch.allclose(network.step(past, near, near), network.step(past, near, near + 0.03))
+    assert past.shape[1] == gbnd.HISTORY + 1
+
+
+@pytest.mark.parametrize("picks", [False, True])
+def test_gradients_of_springs_agree_with_finite_differences(picks):
+    """Of every number that `sms-o` learns, in float64, through contact, friction and grasp."""
+    data = sequences(picks)
+    params = SMSParams(stride=2e-3, settle=5, gravity=1e-4, friction=0.3, stiffness=0.05)
+    network = sms.SMS(params).double()
+    graph = build_springs(data.rest[0], params.radius)
+    start, strokes = torch.as_tensor(data.rest[:1]).double(), data.whole()[:1].double()
+
+    def loss() -> torch.Tensor:
+        return (network.move(simulation.push, start, strokes, graph) - start).square().sum() * 100
+
+    loss().backward()
+    assert loss() > 1e-3, "the object moved"
+    for name, number in network.named_parameters():
+        expected = number.grad
+        with torch.no_grad():
+            kept, step = number.clone(), 1e-6
+            values = []
+            for sign in (1, -1):
+                number.copy_(kept + sign * step)
+                values.append(float(loss()))
+            number.copy_(kept)
+        assert float(expected) == pytest.approx((values[0] - values[1]) / (2 * step), rel=2e-3, abs=1e-6), name
+
+
+def test_stiffness_stays_below_what_the_springs_bear():
+    data = sequences()
+    network = sms.SMS(SMSParams(stiffness=50.0))
+    graph = build_springs(data.rest[0], 0.05)
+    for damping in (0.3, 0.8, 0.99):
+        with torch.no_grad():
+            network.damping.copy_(torch.logit(torch.tensor(damping)))
+        numbers = network.numbers(graph)
+        bound = simulation.stability_bound(graph, damping)
+        assert numbers.stiffness.item() == pytest.approx(sms.STABLE * bound, rel=1e-4)
+
+
+def test_a_pick_carries_what_it_holds():
+    data = sequences(picks=True)
+    predict = predictor("sms-no", data)
+    start, strokes = scenes(data, 1)
+    after = predict(start, strokes)
+    held = sms.held_particles(start, strokes)[0]
+    assert held.any()
+    moved = (after - start)[0, held, :2]
+    torch.testing.assert_close(moved, (strokes[:, 2:4] - strokes[:, :2]).expand_as(moved), atol=1e-5, rtol=0)
+    pushed = make_strokes(strokes[:, :2], strokes[:, 2:4], torch.zeros(1))
+    assert not sms.held_particles(start, pushed).any()

@@ -5,7 +5,9 @@ BIN := .venv/bin
 LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1
 export PYTHONUNBUFFERED := 1
 
-.PHONY: setup demo test smoke lint libraries clean
+EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
+
+.PHONY: setup demo test smoke lint libraries clean reproduce $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -39,6 +41,14 @@ test: setup
 smoke: setup
 	$(BIN)/piegraph run pipelines/demo.toml --run runs/smoke --jobs $(JOBS) --set train.piegraph.steps=100 --set plan.strokes=2
 	$(BIN)/piegraph status --run runs/smoke
+
+# the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
+# into runs/quick. Interrupt and repeat at will: what is done is kept
+$(EXPERIMENTS): setup
+	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick)
+
+reproduce: setup
+	$(BIN)/piegraph reproduce all --jobs $(JOBS) $(if $(QUICK),--quick)
 
 lint: setup
 	$(BIN)/ruff check .

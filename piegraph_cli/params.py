@@ -496,6 +496,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
     temperature: float = Field(0.005, gt=0, description="cost that MPPI finds much [m]")
     noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")
     strokes: int = Field(13, ge=1, description="most strokes in one episode")
+    state_noise: float = Field(
+        0.0, ge=0, description="noise on the particles that the planner sees in --env, to test it [m]"
+    )
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
     episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
@@ -546,6 +549,7 @@ class TrialsParams(EnvironmentParams):
     options: EnvironmentSettings = Field(
         {}, description="options of the environments: ENV.NAME=VALUE,... (docs/environments.md)"
     )
+    plan: dict[str, Any] = Field({}, description="settings of `plan` in place of those of the trained runs")
 
 
 class TrialParams(Params):
@@ -569,6 +573,7 @@ class ExperimentTrials(Params):
     seeds: int = Field(ge=1, description="starts per goal")
     strokes: int = Field(ge=1, description="most strokes in one trial")
     thresholds: Thresholds = Field((0.02, 0.03, 0.05, 0.1), description="distances that count as success [m]")
+    plan: dict[str, Any] = Field({}, description="settings of `plan` in place of the recipes'")
 
 
 class ExperimentParams(Params):

@@ -12,6 +12,13 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.params import LearningParams
 
 
+HELD_OUT = 256
+"""Validation examples looked at: as many of all, evenly spread."""
+
+CHUNK = 64
+"""Examples in one validation batch."""
+
+
 class Examples(Protocol):
     """What a network learns from."""
 
@@ -73,9 +80,10 @@ class Trainer:
         """
         loss = math.nan
         if self.validation is not None and len(self.validation):
-            chunks = torch.arange(len(self.validation), device=self.device).split(256)
-            losses = [self.validation.loss(self.network, c).item() * len(c) for c in chunks]
-            loss = sum(losses) / len(self.validation)
+            count = min(len(self.validation), HELD_OUT)
+            chosen = torch.linspace(0, len(self.validation) - 1, count, device=self.device).long()
+            losses = [self.validation.loss(self.network, c).item() * len(c) for c in chosen.split(CHUNK)]
+            loss = sum(losses) / count
         if not loss >= self.best_loss:
             self.best_loss = loss if math.isfinite(loss) else math.inf
             self.best = {name: value.detach().clone() for name, value in self.network.state_dict().items()}

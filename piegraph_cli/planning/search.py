@@ -28,7 +28,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Plan:
-    """The best candidate: strokes [H, 7], predicted states [H, N, 3] (m) and cost (m); and all that were looked at."""
+    """The best candidate: strokes [H, 7], predicted states [H, N, 3] (m), their mean cost (m); and all that were looked at."""
 
     strokes: torch.Tensor
     predicted: torch.Tensor
@@ -88,14 +88,17 @@ def _weights(costs: torch.Tensor, params: PlanParams) -> torch.Tensor:
 def rollout(
     state: torch.Tensor, proposals: torch.Tensor, predict: Predict, cost: Cost, space: StrokeSpace
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Strokes [B, H, 7], predicted states [B, H, N, 3] and costs [B] of proposals [B, H, 5] from state [N, 3]."""
+    """Strokes [B, H, 7], predicted states [B, H, N, 3] and costs [B] of proposals [B, H, 5] from state [N, 3].
+
+    The cost is the mean over the states, not that of the last alone: a first stroke that wanders would cost nothing.
+    """
     positions = state.expand(len(proposals), -1, -1)
-    penalty = torch.zeros(len(proposals))
+    total = torch.zeros(len(proposals))
     strokes, predicted = [], []
     for step in proposals.unbind(1):
         stroke, feasible = space.strokes(positions, step)
         positions = predict(positions, stroke)
-        penalty = penalty + INFEASIBLE * (~feasible)
+        total = total + cost(positions) / proposals.shape[1] + INFEASIBLE * (~feasible)
         strokes.append(stroke)
         predicted.append(positions)
-    return torch.stack(strokes, 1), torch.stack(predicted, 1), cost(positions) + penalty
+    return torch.stack(strokes, 1), torch.stack(predicted, 1), total

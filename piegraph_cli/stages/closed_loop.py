@@ -72,7 +72,12 @@ def play(
         after, _, _, _, info = environment.step({"start": begin, "end": end, "mode": int(stroke[4])})
         return after, info["blocked"]
 
-    steps = list(run_episode(state, make_plan, act, cost, strokes=params.strokes, success=params.success))
+    seeing = np.random.default_rng([params.seed, 3, start, goal])
+
+    def look(positions: torch.Tensor) -> Plan | None:
+        return make_plan(positions + torch.as_tensor(seeing.normal(0, params.state_noise, positions.shape)).float())
+
+    steps = list(run_episode(state, look, act, cost, strokes=params.strokes, success=params.success))
     first = float(cost(torch.as_tensor(state)[None])[0])
     last = steps[-1].after if steps else state
     return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first), last

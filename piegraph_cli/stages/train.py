@@ -16,7 +16,7 @@ from piegraph_cli.stages.dataset import TRAIN, VALIDATION
 from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.execute import Context, Output
 
-RECORDS = 50
+RECORDS = 20
 """Losses are noted this many times in a training."""
 
 

@@ -5,7 +5,10 @@ So a larger grid keeps what is done: every unit has its own artifact and its own
 
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from piegraph_cli.environments import check_options
+from piegraph_cli.errors import UsageError
 from piegraph_cli.params import (
     EvaluateParams,
     ModelEvaluateParams,
@@ -91,7 +94,7 @@ def trial_params(params: TrialsParams, name: str, trained: Path) -> TrialParams:
     recipe = load_recipe(path) if path.is_file() else Recipe()
     kept, learned = recipe.params(STAGES["plan"]), recipe.params(STAGES["train"])
     assert isinstance(learned, TrainParams)
-    settings = kept.model_dump(exclude=_QUESTION)
+    settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     if model == "greedy":
         settings |= {"model": "static", "planner": "greedy"}
     else:
@@ -101,7 +104,13 @@ def trial_params(params: TrialsParams, name: str, trained: Path) -> TrialParams:
     for interpreter in ("daxbench_python", "daxbench_repo"):
         given = getattr(params, interpreter) or settings[interpreter]
         settings[interpreter] = given if env.startswith("daxbench-") else None
-    plan = PlanParams(env=env, strokes=params.strokes, success=min(params.thresholds), **settings)  # type: ignore[arg-type]
+    settings |= {"env": env, "strokes": params.strokes, "success": min(params.thresholds)}
+    try:
+        plan = PlanParams.model_validate(settings)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        place = ".".join(map(str, problem["loc"]))
+        raise UsageError(f"{place}: {problem['msg']}", "trials.plan", "piegraph plan --help") from None
     own = trained_name(model_name(model, learned.seeds[seed % len(learned.seeds)]))
     network = trained / env / "model" / f"{own}.h5" if own else None
     return TrialParams(goal=goal, seed=seed, network=network, plan=plan)

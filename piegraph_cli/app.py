@@ -5,7 +5,6 @@ Results go to stdout, everything else to stderr. Nothing heavy is imported befor
 
 import contextlib
 import inspect
-import json
 import logging
 import sys
 import time
@@ -55,7 +54,12 @@ class _Report:
 
 
 def _emit(report: _Report, as_json: bool) -> None:
-    print(json.dumps(report.value, indent=1) if as_json else "\n".join(report.lines))
+    if as_json:
+        from piegraph_cli.evaluation.tables import as_json as text_of
+
+        print(text_of(report.value))
+    else:
+        print("\n".join(report.lines))
     if report.exit_code:
         raise typer.Exit(report.exit_code)
 
@@ -409,6 +413,9 @@ def reproduce(
     quick: Annotated[
         bool, typer.Option("--quick", help="minutes in place of hours: fewer sequences, seeds and steps")
     ] = False,
+    set: Annotated[
+        list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
+    ] = None,
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
     jobs: Jobs = 1,
     backend: Backend = "local",
@@ -423,7 +430,8 @@ def reproduce(
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
-    chosen = {name: load_experiment(name, quick) for name in ([experiment] if experiment != "all" else names())}
+    wanted = [experiment] if experiment != "all" else names()
+    chosen = {name: load_experiment(name, quick, set or ()) for name in wanted}
     values, lines, code = {}, [], 0
     for name, params in chosen.items():
         with _logging_to(folder):

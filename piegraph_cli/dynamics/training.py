@@ -11,7 +11,6 @@ from torch import nn
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import LearningParams
 
-
 HELD_OUT = 256
 """Validation examples looked at: as many of all, evenly spread."""
 

@@ -1,5 +1,7 @@
 """Metrics of many windows as a few rows, and rows as text."""
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -63,6 +65,19 @@ def summarise_scores(scores: Sequence[Mapping[str, np.ndarray]]) -> list[dict[st
             median, high = np.quantile(values, [0.5, 0.9])
             rows.append({"score": name, "values": len(values), "mean": values.mean(), "median": median, "p90": high})
     return rows
+
+
+def as_json(value: Any) -> str:
+    """JSON text of a result, `null` for what is not finite: NaN is not JSON."""
+
+    def finite(part: Any) -> Any:
+        if isinstance(part, dict):
+            return {name: finite(inner) for name, inner in part.items()}
+        if isinstance(part, (list, tuple)):
+            return [finite(inner) for inner in part]
+        return None if isinstance(part, float) and not math.isfinite(part) else part
+
+    return json.dumps(finite(value), indent=1)
 
 
 def table_lines(rows: list[dict[str, Any]], scores: list[dict[str, Any]]) -> list[str]:

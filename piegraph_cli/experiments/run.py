@@ -1,8 +1,8 @@
 """Experiments by name: their recipes, the runs they need, and what is read from these."""
 
-import json
 import logging
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
+from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.evaluation.trials import Trial
 from piegraph_cli.params import LEARNED, ExperimentParams, SimulateParams, TrainParams, trained_label
 from piegraph_cli.stages import STAGES
@@ -46,19 +47,37 @@ def names() -> list[str]:
     return sorted(p.stem for p in FOLDER.glob("*.toml"))
 
 
-def load_experiment(name: str, quick: bool) -> ExperimentParams:
-    """The settings of an experiment, those of its [quick] section in place of others where it shall be quick."""
+def load_experiment(name: str, quick: bool, changes: Sequence[str] = ()) -> ExperimentParams:
+    """The settings of an experiment, those of its [quick] section in place of others where it shall be quick.
+
+    `changes` are SETTING=VALUE with a TOML value, as in `trials.seeds=3`.
+    """
     path = FOLDER / f"{name}.toml"
     if name not in names():
         raise UsageError(f"no experiment {name}", hint=f"one of {', '.join(names())}, all")
     values = tomllib.loads(path.read_text())
     smaller = values.pop("quick", {})
+    values = values | smaller if quick else values
+    for text in changes:
+        try:
+            values = _merge(values, tomllib.loads(text))
+        except tomllib.TOMLDecodeError:
+            raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
     try:
-        return ExperimentParams.model_validate(values | smaller if quick else values)
+        return ExperimentParams.model_validate(values)
     except ValidationError as error:
         problem = error.errors()[0]
         place = ".".join(map(str, problem["loc"]))
         raise UsageError(f"{place}: {problem['msg']}", str(path), "correct the experiment") from None
+
+
+def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Values with those of `changes` in their place, table by table."""
+    merged = dict(values)
+    for name, value in changes.items():
+        table = isinstance(value, dict) and isinstance(merged.get(name), dict)
+        merged[name] = _merge(merged[name], value) if table else value
+    return merged
 
 
 def recipe_of(params: ExperimentParams, environment: str, recording: Path | None) -> Recipe:
@@ -191,7 +210,7 @@ def write_report(name: str, params: ExperimentParams, folder: Path) -> tuple[dic
         raise DataError("no run of this experiment has results yet", str(folder), f"piegraph reproduce {name}")
     value, lines = describe(params, results)
     out = folder / "report"
-    for suffix, text in (("txt", "\n".join(lines)), ("json", json.dumps(value, indent=1))):
+    for suffix, text in (("txt", "\n".join(lines)), ("json", as_json(value))):
         with atomic_file(out / f"{name}.{suffix}") as temporary:
             temporary.write_text(text + "\n")
     pictures = []

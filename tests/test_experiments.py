@@ -1,0 +1,119 @@
+"""The experiments: every one is whole and small with --quick, runs end to end, goes on, and gives the same table twice."""
+
+import json
+
+import numpy as np
+import pytest
+
+from piegraph_cli.errors import UsageError
+from piegraph_cli.evaluation.statistics import bootstrap_grid
+from piegraph_cli.evaluation.tables import difference, sequence_means, summarise
+from piegraph_cli.experiments.run import load_experiment, names, recipe_of, trial_recipe
+from piegraph_cli.params import ExperimentParams, TrainParams, TrialsParams
+from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.grid import evaluated_names, trained_name, trained_names
+from tests.cli import REPOSITORY, piegraph, piegraph_json
+
+
+def test_every_experiment_is_a_make_target():
+    makefile = (REPOSITORY / "Makefile").read_text()
+    (targets,) = (line for line in makefile.splitlines() if line.startswith("EXPERIMENTS :="))
+    assert sorted(targets.split()[2:]) == names()
+
+
+@pytest.mark.parametrize("quick", [False, True])
+@pytest.mark.parametrize("name", names())
+def test_recipes_train_what_they_evaluate_and_plan_with(name, quick, tmp_path):
+    params = load_experiment(name, quick)
+    for environment in params.interactions:
+        recipe = recipe_of(params, environment, None)
+        train, evaluate = (recipe.params(STAGES[stage]) for stage in ("train", "evaluate"))
+        assert isinstance(train, TrainParams)
+        trained = set(trained_names(train))
+        assert {own for unit in evaluated_names(evaluate, train) if (own := trained_name(unit))} <= trained
+        assert all(train.of(label) for label in train.models)
+        if params.trials:
+            trials = trial_recipe(params, environment, tmp_path).params(STAGES["trials"])
+            assert isinstance(trials, TrialsParams)
+            assert {own for label in trials.models if (own := trained_name(f"{label}.seed0"))} <= trained
+
+
+def test_an_experiment_end_to_end(tmp_path):
+    """Predictions, what fewer sequences cost, trials, pictures; a second time nothing is done and the table is equal."""
+    command = ("reproduce", "data-fidelity", "--quick", "--runs", tmp_path / "a b", "--jobs", 2)
+    first = piegraph_json(*command)["data-fidelity"]
+    assert first["failed"] == []
+    rows = {(r["model"], r["horizon"]): r for r in first["predictions"]}
+    assert rows["piegraph@6", 1]["seeds"] == 2
+    mean, low, high = rows["piegraph@6", 1]["pd"]
+    assert low <= mean <= high
+    assert {r["model"] for r in first["trials"]} == {"piegraph@3", "piegraph@6"}
+    assert {(r["sequences"], r["of"]) for r in first["loss"]} == {(3, 6)}
+    kinds = ("errors", "interactions", "boxes", "success", "distance", "overlays")
+    report = tmp_path / "a b" / "report"
+    assert all((report / f"data-fidelity_{kind}.png").stat().st_size > 5000 for kind in kinds)
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a b").rglob("*.h5")}
+    again = piegraph_json(*command)["data-fidelity"]
+    assert again == first
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "a b").rglob("*.h5")} == before
+    assert json.loads((report / "data-fidelity.json").read_text())["predictions"] == first["predictions"]
+
+
+def test_mistakes_name_the_experiment(tmp_path):
+    done = piegraph("reproduce", "table2", "--runs", tmp_path, check=2)
+    assert "no experiment table2" in done.stderr
+    assert "table1" in done.stderr
+    done = piegraph("reproduce", "table1", "--runs", tmp_path, "--show", check=3)
+    assert "no run of this experiment has results yet" in done.stderr
+    with pytest.raises(UsageError, match="no experiment"):
+        load_experiment("../planning", False)
+    with pytest.raises(ValueError, match="cannot be chosen of 5"):
+        ExperimentParams(title="t", table="dynamics", interactions={"tblock": (6,)}, models=("piegraph",), training=5)
+
+
+def test_settings_of_an_experiment_can_be_changed():
+    params = load_experiment("planning", False, ["trials.seeds=3", "interactions.tblock=[7]", "steps=0.5"])
+    full = load_experiment("planning", False)
+    assert params.trials == full.trials.model_copy(update={"seeds": 3})
+    assert params.interactions == full.interactions | {"tblock": (7,)}
+    assert params.steps == 0.5
+    for wrong in ("seeds", "trials.seed=3", "seeds=x"):
+        with pytest.raises(UsageError):
+            load_experiment("planning", False, [wrong])
+
+
+def metrics(seeds: int, sequences: int, offset: float) -> list[dict[str, np.ndarray]]:
+    rng = np.random.default_rng(0)
+    base = rng.uniform(1, 2, (seeds, sequences))
+    return [
+        {
+            "horizon": np.repeat(1, 2 * sequences),
+            "sequence": np.repeat([f"sequence_{k:04d}" for k in range(sequences)], 2),
+            **{name: np.repeat(row, 2) + np.tile([-0.1, 0.1], sequences) + offset for name in ("cd", "s", "pd")},
+            "pd_truth": np.full(2 * sequences, np.nan),
+        }
+        for row in base
+    ]
+
+
+def test_intervals_are_over_seeds_and_sequences():
+    rng = np.random.default_rng(1)
+    alike = np.tile(rng.normal(0, 1, 50), (3, 1))
+    differing = alike + np.array([[-3.0], [0.0], [3.0]])
+    narrow, wide = bootstrap_grid(alike), bootstrap_grid(differing)
+    assert narrow[0] == pytest.approx(wide[0])
+    assert narrow[2] - narrow[1] == pytest.approx(4 / np.sqrt(50), rel=0.25)
+    assert wide[2] - wide[1] > 2 * (narrow[2] - narrow[1])
+    assert np.isnan(bootstrap_grid(np.zeros((0, 3)))).all()
+
+
+def test_differences_are_paired():
+    """Sequences differ by a centimetre, the models by a hundredth: only a paired comparison can tell."""
+    of = {"one": metrics(2, 20, 0.0), "other": metrics(2, 20, 0.01), "untrained": metrics(1, 20, 0.5)}
+    np.testing.assert_allclose(sequence_means(of["one"], "pd", 1).shape, (2, 20))
+    np.testing.assert_allclose(difference(of, "one", "other", "pd", 1), [0.01] * 3, atol=1e-9)
+    np.testing.assert_allclose(difference(of, "one", "other", "cd+s", 1), [0.02] * 3, atol=1e-9)
+    assert difference(of, "one", "untrained", "pd", 1)[0] > 0.3
+    rows = {row["model"]: row for row in summarise(of)}
+    assert rows["one"]["windows"] == 40
+    assert np.isnan(rows["one"]["pd_truth"][0])

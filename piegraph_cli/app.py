@@ -355,7 +355,8 @@ def _train(
     if seed is not None:
         section["seeds"] = seed
     if model is not None:
-        section["models"] = [*kept.get("models", ()), model]
+        others = kept.get("models", ["piegraph"] if (run / "model").is_dir() else [])
+        section["models"] = [*others, model]
     if given:
         own = split_label(trained_label(model) or model)[0] if model else "piegraph"
         section[own] = kept.get(own, {}) | given

@@ -91,6 +91,26 @@ def test_options_of_a_stage_are_kept_in_the_recipe(tiny_run, tmp_path):
     assert (states["train"], states["evaluate"]) == ("fresh", "stale")
 
 
+def test_a_further_model_is_trained_beside_the_others(tiny_run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(tiny_run, folder)
+    command = ("train", "--run", folder, "--model", "gnn@1", "--seed", "0,3", "--steps", "5", "--hidden", "8")
+    assert [o["sequence"] for o in piegraph_json(*command)["outcomes"]] == ["gnn@1.seed0", "gnn@1.seed3"]
+    states = {r["sequence"]: r["state"] for r in piegraph_json("status", "--run", folder)["artifacts"]}
+    assert states["piegraph.seed0"] == states["gnn@1.seed3"] == "fresh"
+    assert states["piegraph.seed3"] == "missing"
+    found = piegraph_json("evaluate", "--run", folder, "--models", "gnn@1,static,sms-no")["rows"]
+    assert {(row["model"], row["seeds"]) for row in found} == {("gnn@1", 2), ("static", 1), ("sms-no", 1)}
+    refused = piegraph("train", "--run", folder, "--model", "pgnd", "--hidden", "8", check=2)
+    assert "train.pgnd.hidden: unknown setting" in refused.stderr
+    refused = piegraph("train", "--run", folder, "--model", "gnn@50", check=2)
+    assert "2 sequences to train on, 50 are asked for" in refused.stderr
+    refused = piegraph("train", "--run", folder, "--model", "static", check=2)
+    assert "static is not trained" in refused.stderr
+    refused = piegraph("train", "--run", folder, "--model", "gnn:wide", check=2)
+    assert "no variant gnn:wide" in refused.stderr
+
+
 @pytest.fixture
 def planner(tiny_run, tmp_path):
     folder = tmp_path / "run"

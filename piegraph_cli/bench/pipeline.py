@@ -11,11 +11,11 @@ from torch import Tensor
 from piegraph_cli.bench.kernels import network_flop, random_object, random_strokes
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.dynamics.examples import Pairs
-from piegraph_cli.dynamics.models import Predict, Trained, make_predict
+from piegraph_cli.dynamics.examples import Pairs, Sequences
+from piegraph_cli.dynamics.models import MODELS, Predict, Trained, make_predict
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import UsageError
-from piegraph_cli.params import PUSH, EGNNParams, PlanParams
+from piegraph_cli.params import LEARNED, PUSH, EGNNParams, LearningParams, PlanParams
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.physics.tracking import track
@@ -36,8 +36,8 @@ TRACKED = 5e-3
 """Metres of mean error allowed to tracking."""
 
 FRAMES = 20
-PAIRS = 1000
-LEARNED = 200
+STROKES, STROKE_FRAMES = 40, 8
+TRAINED = 200
 """Training steps of the planning benchmark's network, so that setpoints are such as a trained one gives."""
 
 
@@ -70,10 +70,10 @@ def _learned_block() -> tuple[Tensor, Trained]:
         strokes.append([*stroke["start"], *stroke["end"], PUSH, 0, 0])
         state = after
     owner = np.zeros(len(strokes), int)
-    params = EGNNParams(steps=LEARNED)
+    params = EGNNParams(steps=TRAINED)
     pairs = Pairs(np.array(starts), np.array(ends), np.array(strokes), rest[None], owner, owner, params.neighbors)
     trainer = Trainer(make_network("piegraph", params, False, 0), pairs, None, params, 0)
-    for _ in range(LEARNED):
+    for _ in range(TRAINED):
         trainer.step()
     return torch.as_tensor(rest), Trained(trainer.network.requires_grad_(False), params, 0.0)
 
@@ -134,21 +134,47 @@ def track_rows() -> Iterator[Row]:
 
 
 def train_rows() -> Iterator[Row]:
-    """A training step, by batch and threads of PyTorch; the rate counts the backward pass as two forward ones."""
-    rng = np.random.default_rng(0)
-    rest = random_object(50, rng)
-    start = np.repeat(rest[None], PAIRS, 0)
-    none = np.zeros(PAIRS, int)
-    strokes = random_strokes(PAIRS, rng).numpy()
+    """A training step of piegraph, by batch and threads, the backward pass counted as two forward ones; and of the others."""
+    data = _carried_sequences()
     for batch in (8, 32):
         for threads in core_counts():
             torch.set_num_threads(threads)
             params = EGNNParams(batch=batch)
-            pairs = Pairs(start, start + 0.01, strokes, rest[None], none, none, params.neighbors)
-            trainer = Trainer(make_network("piegraph", params, False, 0), pairs, None, params, 0)
-            seconds = median_seconds(trainer.step)
+            seconds = median_seconds(_trainer("piegraph", data, params).step)
             torch.set_num_threads(1)
             yield Row("train", f"a step, batch {batch}", seconds, threads, flop=3 * batch * network_flop(50, params))
+    for name, settings in LEARNED.items():
+        if name != "piegraph":
+            seconds = median_seconds(_trainer(name, data, settings()).step, 5)
+            yield Row("train", f"a step of {name}, batch {settings().batch}", seconds)
+
+
+def _trainer(name: str, data: Sequences, params: LearningParams) -> Trainer:
+    learner = MODELS[name].learner
+    assert learner is not None
+    return Trainer(make_network(name, params, False, 0), learner.examples(data, params, "cpu"), None, params, 0)
+
+
+def _carried_sequences() -> Sequences:
+    """Strokes of eight frames that carry an object of 50 particles along."""
+    rng = np.random.default_rng(0)
+    rest = random_object(50, rng)
+    ends = random_strokes(STROKES, rng).numpy()[:, :4].reshape(-1, 2, 2)
+    travelled = np.linspace(0, 1, STROKE_FRAMES)[:, None] * (ends[:, 1] - ends[:, 0])[:, None]
+    first = np.arange(STROKES) * STROKE_FRAMES
+    pairs = np.array([[a + i, a + j] for a in first for i in range(STROKE_FRAMES) for j in range(i + 2, STROKE_FRAMES)])
+    return Sequences(
+        positions=(rest + np.pad(travelled, ((0, 0), (0, 0), (0, 1)))[:, :, None])
+        .reshape(-1, 50, 3)
+        .astype(np.float32),
+        hand=(ends[:, :1] + travelled).reshape(-1, 2).astype(np.float32),
+        strokes=np.stack([first, first + STROKE_FRAMES - 1], 1),
+        mode=np.zeros(STROKES, np.uint8),
+        owner=np.arange(STROKES) // 4,
+        rest=np.repeat(rest[None], STROKES // 4, 0).astype(np.float32),
+        pairs=pairs,
+        pair_stroke=np.repeat(np.arange(STROKES), len(pairs) // STROKES),
+    )
 
 
 def perception_rows(folder: Path | None) -> Iterator[Row]:

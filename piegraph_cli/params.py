@@ -372,7 +372,7 @@ class GBNDParams(StepParams):
 
     learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
-    steps: int = Field(2000, ge=1, description="training steps")
+    steps: int = Field(1500, ge=1, description="training steps")
     hidden: int = Field(150, ge=1, description="width of the network")
     neighbors: int = Field(5, ge=1, description="neighbours of a particle in the graph")
     radius: float = Field(0.075, gt=0, description="particles further apart than this are no neighbours [m]")

@@ -45,8 +45,9 @@ def difference(rest, states, strokes, network) -> tuple[float, float]:
 
 @pytest.mark.parametrize("head", [True, False])
 @pytest.mark.parametrize("picks", [True, False])
-def test_agrees_with_the_network(head, picks):
-    network = EGNN(12, 32, 4, head, picks)
+@pytest.mark.parametrize("pool", [True, False])
+def test_agrees_with_the_network(head, picks, pool):
+    network = EGNN(12, 32, 4, head, picks, pool)
     deviation, motion = difference(*case(0, 100, 50, network), network)
     assert motion > 0.01
     assert deviation < 1e-5

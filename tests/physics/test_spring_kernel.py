@@ -93,19 +93,27 @@ def test_driving_takes_up_and_returns_the_velocity():
         assert float((a - b).abs().max()) < 1e-6
 
 
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("tension_only", [False, True])
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-def test_a_pusher_agrees_with_the_reference(friction):
+def test_a_pusher_agrees_with_the_reference(friction, tension_only, held):
+    """Also beside scenes in which a hand holds two particles."""
     start, _, _ = scene(40, 7)
+    grip = torch.zeros(40, 50, dtype=torch.bool)
+    grip[::2, [3, 17]] = held
     angle = torch.linspace(0, 2 * np.pi, 40)
     travel = torch.linspace(-0.25, 0.1, 400)[None, :, None]
     path = start.mean(1, keepdim=True)[..., :2] + travel * torch.stack([angle.cos(), angle.sin()], -1)[:, None]
-    params = PushParams(friction=friction, gravity=1e-5, radius=0.025)
-    true = simulation.push(start.double(), path.double(), GRAPH, params)
-    found = spring_kernel.push(start, path, GRAPH, params)
+    params = PushParams(friction=friction, gravity=1e-5, radius=0.025, tension_only=tension_only)
+    true = simulation.push(start.double(), path.double(), GRAPH, params, grip if held else None)
+    found = spring_kernel.push(start, path, GRAPH, params, grip if held else None)
     assert float((true - start).norm(dim=-1).mean()) > 0.01, "the pusher met the object"
     assert float((found - true).abs().max()) < 1e-5
     inside = (found[:, :, :2] - path[:, -1:]).norm(dim=-1) < params.radius - 1e-5
-    assert not inside.any()
+    assert not inside[~grip.any(1)].any()
+    carried = (found - start)[..., :2][grip]
+    whole = (path[:, -1] - path[:, 0])[:, None].expand(-1, 50, -1)[grip]
+    torch.testing.assert_close(carried, whole, atol=1e-5, rtol=0)
 
 
 def test_the_number_of_cores_changes_nothing(monkeypatch):

@@ -5,7 +5,7 @@ Nothing heavy is imported here, so that `piegraph --help` answers at once. The c
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -129,6 +129,23 @@ class Params(BaseModel):
     def files(self) -> dict[str, Path]:
         """Files and folders these settings name; their content, not their path, enters the cache key."""
         return {name: value for name, value in self if isinstance(value, Path)}
+
+
+Settings = TypeVar("Settings", bound=Params)
+
+
+def validated(params: type[Settings], values: Any, name: str, where: str, hint: str) -> Settings:
+    """Settings of that type. Raises `UsageError` that names the first wrong one, as a part of `name`."""
+    try:
+        return params.model_validate(values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        setting = ".".join([name, *(str(part) for part in problem["loc"])])
+        if problem["type"] != "extra_forbidden":
+            message = problem["msg"].removeprefix("Value error, ")
+            raise UsageError(f"{setting}: {message}", where, hint) from None
+        known = ", ".join(field.alias or field_name for field_name, field in params.model_fields.items())
+        raise UsageError(f"{setting}: unknown setting", where, f"settings of {name}: {known}") from None
 
 
 class TBlockOptions(Params):
@@ -408,12 +425,9 @@ class TrainParams(Params):
         key = f"{name}:{variant}"
         if key not in self.variants:
             raise UsageError(f"no variant {key}", "train.variants", f'a section [train.variants."{key}"] in the recipe')
-        try:
-            return type(settings).model_validate(settings.model_dump() | self.variants[key])
-        except ValidationError as error:
-            problem = error.errors()[0]
-            place = ".".join(map(str, problem["loc"]))
-            raise UsageError(f"{place}: {problem['msg']}", f'train.variants."{key}"', "correct the recipe") from None
+        return validated(
+            type(settings), settings.model_dump() | self.variants[key], f"train.variants.{key}", "recipe", ""
+        )
 
 
 LEARNED: dict[str, type[LearningParams]] = {

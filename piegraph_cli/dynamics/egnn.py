@@ -56,6 +56,15 @@ def gather_neighbors(values: torch.Tensor, neighbors: torch.Tensor) -> torch.Ten
     return flat.view(batch, particles, count, -1)
 
 
+def _scaled_pick_features(
+    positions: torch.Tensor, strokes: torch.Tensor, rest: torch.Tensor, grasp: torch.Tensor | None
+) -> torch.Tensor:
+    """`pick_features` with lengths in decimetres; by default the particle nearest to a stroke's start is grasped."""
+    grasp = grasped_particle(positions, strokes) if grasp is None else grasp
+    features = pick_features(positions, strokes, rest, grasp)
+    return torch.cat([features[..., :2], features[..., 2:] * DECIMETRE], -1)
+
+
 def small_linear(inputs: int, outputs: int) -> nn.Linear:
     """A last layer that begins with small outputs: nothing moves."""
     layer = nn.Linear(inputs, outputs)
@@ -141,9 +150,7 @@ class EGNN(nn.Module):
         scale = torch.tensor([DECIMETRE] * 4 + [1.0], dtype=positions.dtype, device=positions.device)
         features = canonical_action(positions, strokes) * scale
         if self.picks:
-            grasp = grasped_particle(positions, strokes) if grasp is None else grasp
-            more = pick_features(positions, strokes, rest.positions, grasp)
-            features = torch.cat([features, more[..., :2], more[..., 2:] * DECIMETRE], -1)
+            features = torch.cat([features, _scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
         h = self.embed(features)
         x = start = (positions - positions.mean(1, keepdim=True)) * DECIMETRE
         rest2 = (x[:, :, None] - gather_neighbors(x, neighbors)).square().sum(-1, keepdim=True)
@@ -190,9 +197,7 @@ class ActionNodeEGNN(nn.Module):
         mode = strokes[:, None, 4:5].expand(-1, particles + 2, -1)
         features = torch.cat([kinds, x[..., 2:] * DECIMETRE, mode], -1)
         if self.picks:
-            grasp = grasped_particle(positions, strokes) if grasp is None else grasp
-            more = pick_features(positions, strokes, rest.positions, grasp)
-            more = torch.cat([more[..., :2], more[..., 2:] * DECIMETRE], -1)
+            more = _scaled_pick_features(positions, strokes, rest.positions, grasp)
             features = torch.cat([features, torch.nn.functional.pad(more, (0, 0, 0, 2))], -1)
         h = self.embed(features)
         x = (x - middle) * DECIMETRE
@@ -241,9 +246,7 @@ class GNN(nn.Module):
         shared = torch.cat([ends, strokes[:, 4:5]], -1)[:, None].expand(-1, particles, -1)
         features = torch.cat([x, shared], -1)
         if self.picks:
-            grasp = grasped_particle(positions, strokes) if grasp is None else grasp
-            more = pick_features(positions, strokes, rest.positions, grasp)
-            features = torch.cat([features, more[..., :2], more[..., 2:] * DECIMETRE], -1)
+            features = torch.cat([features, _scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
         h = self.embed(features)
         neighbors = rest.neighbors.expand(batch, -1, -1)
         offset = x[:, :, None] - gather_neighbors(x, neighbors)

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
 from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.evaluation.trials import Trial
-from piegraph_cli.params import LEARNED, ExperimentParams, SimulateParams, TrainParams, trained_label
+from piegraph_cli.params import LEARNED, ExperimentParams, SimulateParams, TrainParams, trained_label, validated
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
@@ -63,12 +61,7 @@ def load_experiment(name: str, quick: bool, changes: Sequence[str] = ()) -> Expe
             values = _merge(values, tomllib.loads(text))
         except tomllib.TOMLDecodeError:
             raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
-    try:
-        return ExperimentParams.model_validate(values)
-    except ValidationError as error:
-        problem = error.errors()[0]
-        place = ".".join(map(str, problem["loc"]))
-        raise UsageError(f"{place}: {problem['msg']}", str(path), "correct the experiment") from None
+    return validated(ExperimentParams, values, name, str(path), "correct the experiment")
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

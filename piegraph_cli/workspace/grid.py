@@ -5,10 +5,7 @@ So a larger grid keeps what is done: every unit has its own artifact and its own
 
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from piegraph_cli.environments import check_options
-from piegraph_cli.errors import UsageError
 from piegraph_cli.params import (
     EvaluateParams,
     ModelEvaluateParams,
@@ -18,6 +15,7 @@ from piegraph_cli.params import (
     TrialParams,
     TrialsParams,
     trained_label,
+    validated,
 )
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
@@ -105,12 +103,7 @@ def trial_params(params: TrialsParams, name: str, trained: Path) -> TrialParams:
         given = getattr(params, interpreter) or settings[interpreter]
         settings[interpreter] = given if env.startswith("daxbench-") else None
     settings |= {"env": env, "strokes": params.strokes, "success": min(params.thresholds)}
-    try:
-        plan = PlanParams.model_validate(settings)
-    except ValidationError as error:
-        problem = error.errors()[0]
-        place = ".".join(map(str, problem["loc"]))
-        raise UsageError(f"{place}: {problem['msg']}", "trials.plan", "piegraph plan --help") from None
+    plan = validated(PlanParams, settings, "plan", "trials.plan", "piegraph plan --help")
     own = trained_name(model_name(model, learned.seeds[seed % len(learned.seeds)]))
     network = trained / env / "model" / f"{own}.h5" if own else None
     return TrialParams(goal=goal, seed=seed, network=network, plan=plan)

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
-from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import Params
+from piegraph_cli.params import Params, validated
 from piegraph_cli.stages import STAGES, Stage
 from piegraph_cli.workspace.artifact import atomic_file
 
@@ -111,21 +110,7 @@ def parse_setting(text: str) -> tuple[Stage, str, Any]:
 
 
 def _validate(stage: Stage, values: Mapping[str, Any], where: str) -> Params:
-    try:
-        return stage.params.model_validate(dict(values))
-    except ValidationError as error:
-        problem = error.errors()[0]
-        setting = ".".join([stage.name, *(str(part) for part in problem["loc"])])
-        known = ", ".join(field.alias or name for name, field in stage.params.model_fields.items())
-        hint = (
-            f"settings of {stage.name}: {known}"
-            if problem["type"] == "extra_forbidden"
-            else f"piegraph {stage.name} --help"
-        )
-        message = (
-            "unknown setting" if problem["type"] == "extra_forbidden" else problem["msg"].removeprefix("Value error, ")
-        )
-        raise UsageError(f"{setting}: {message}", where, hint) from None
+    return validated(stage.params, dict(values), stage.name, where, f"piegraph {stage.name} --help")
 
 
 def _plain(section: Mapping[str, Any]) -> dict[str, Any]:

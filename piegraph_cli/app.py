@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
+from pydantic.fields import FieldInfo
 
 from piegraph_cli import __version__
 from piegraph_cli.errors import PiegraphError, UsageError
@@ -32,6 +33,9 @@ INTERRUPTED = 130
 
 FEW = 8
 """Up to this many sequences are listed one by one."""
+
+OF_TRAINING = ("checkpoint_every", "tensorboard")
+"""Settings of `train` that are not those of one model."""
 
 RunFolder = Annotated[Path, typer.Option("--run", help="run folder")]
 Force = Annotated[bool, typer.Option("--force", help="make it again even if it is fresh")]
@@ -169,23 +173,31 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
 
 def _options(params: type[Params]) -> list[Parameter]:
     """One typer option per setting; left out means: as in the run's recipe, else the default."""
-    options = []
-    for name, field in params.model_fields.items():
-        kind: Any = field.annotation
-        if type(None) in get_args(kind):
-            kind = next(a for a in get_args(kind) if a is not type(None))
-        if get_origin(kind) is dict and not field.metadata:
-            continue  # a table that only a recipe can give
-        if kind not in (int, float, bool, Path) and get_origin(kind) is not Literal:
-            kind = str
-        default = field.default
-        shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
-        text = field.description if default in (None, (), {}) else f"{field.description} [default: {shown}]"
-        flag = f"--{name.replace('_', '-')}"
-        option = typer.Option(f"{flag}/--no-{flag[2:]}" if kind is bool else flag, help=text, show_default=False)
-        annotation = Annotated[kind | None, option] if get_origin(kind) is not Literal else Annotated[kind, option]
-        options.append(Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation))
-    return options
+    found = (
+        _option(name, field, f"{field.description}{_default(field)}") for name, field in params.model_fields.items()
+    )
+    return [option for option in found if option is not None]
+
+
+def _default(field: FieldInfo) -> str:
+    """What help says of a default, if there is one."""
+    shown = ",".join(map(str, field.default)) if isinstance(field.default, tuple) else field.default
+    return "" if field.default in (None, (), {}) else f" [default: {shown}]"
+
+
+def _option(name: str, field: FieldInfo, text: str) -> Parameter | None:
+    """The option of one setting; None for a table, which only a recipe can give."""
+    kind: Any = field.annotation
+    if type(None) in get_args(kind):
+        kind = next(a for a in get_args(kind) if a is not type(None))
+    if (get_origin(kind) is dict and not field.metadata) or (isinstance(kind, type) and issubclass(kind, Params)):
+        return None
+    if kind not in (int, float, bool, Path) and get_origin(kind) is not Literal:
+        kind = str
+    flag = f"--{name.replace('_', '-')}"
+    option = typer.Option(f"{flag}/--no-{flag[2:]}" if kind is bool else flag, help=text, show_default=False)
+    annotation = Annotated[kind | None, option] if get_origin(kind) is not Literal else Annotated[kind, option]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
 def _described(stage: Stage, folder: Path) -> _Report:
@@ -350,7 +362,7 @@ def _train(
 
     stage, opened = STAGES["train"], Run.open(run)
     given = {name: value for name, value in values.items() if value is not None}
-    section: dict[str, Any] = {n: given.pop(n) for n in ("checkpoint_every", "tensorboard") if n in given}
+    section: dict[str, Any] = {n: given.pop(n) for n in OF_TRAINING if n in given}
     kept = opened.recipe.sections.get("train", {})
     if seed is not None:
         section["seeds"] = seed
@@ -378,12 +390,19 @@ def _train(
 
 
 def _training_options() -> list[Parameter]:
-    """One option per setting of any model; those that several have are described once, without their defaults."""
-    found: dict[str, Parameter] = {}
-    for params in LEARNED.values():
-        for option in _options(params):
-            found.setdefault(option.name, option)
-    return [*found.values(), *(o for o in _options(TrainParams) if o.name in ("checkpoint_every", "tensorboard"))]
+    """One option per setting of any model: what it means, and whose it is with which default."""
+    fields: dict[str, dict[str, FieldInfo]] = {}
+    for model, params in LEARNED.items():
+        for name, field in params.model_fields.items():
+            fields.setdefault(name, {})[model] = field
+    options = []
+    for name, of in fields.items():
+        meanings = [str(meaning) for meaning in dict.fromkeys(field.description for field in of.values())]
+        whose = {_default(field): [m for m, f in of.items() if _default(f) == _default(field)] for field in of.values()}
+        models = "; ".join(f"{', '.join(names)}{default}" for default, names in whose.items())
+        options.append(_option(name, next(iter(of.values())), f"{', or: '.join(meanings)} ({models})"))
+    own = (_option(n, TrainParams.model_fields[n], str(TrainParams.model_fields[n].description)) for n in OF_TRAINING)
+    return [option for option in (*options, *own) if option is not None]
 
 
 _train.__signature__ = Signature(  # type: ignore[attr-defined]

@@ -350,7 +350,7 @@ class SMSParams(LearningParams):
     learning_rate: float = Field(0.05, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
     batch: int = Field(2, ge=1, description="training sequences per step")
-    steps: int = Field(60, ge=1, description="training steps")
+    steps: int = Field(120, ge=1, description="training steps")
     radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
     stride: float = Field(1e-3, gt=0, description="the hand's motion per iteration [m]")
     settle: int = Field(20, ge=0, description="iterations after the hand has stopped")

@@ -14,7 +14,7 @@ from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from tests.cli import REPOSITORY, SAMPLE, piegraph, piegraph_json
 
 GOLDEN = Path(__file__).parent / "golden" / "sample.json"
-RECORDED = ("ingest", "hands", "segment", "fuse", "track", "dataset")
+RECORDED = ("ingest", "hands", "segment", "fuse", "track", "score", "dataset")
 
 
 def test_figures_against_the_truth(sample_run):

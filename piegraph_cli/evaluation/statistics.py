@@ -18,11 +18,13 @@ def bootstrap_mean(values: np.ndarray, repeats: int = REPEATS, seed: int = 0) ->
 def bootstrap_grid(values: np.ndarray, repeats: int = REPEATS, seed: int = 0) -> tuple[float, float, float]:
     """Mean of values [seed, sequence] with its 95 % interval (mean, low, high) over both; NaN for none.
 
+    One value alone has no interval: its ends are NaN.
+
     A resample draws seeds and sequences anew, so that the interval holds for other trainings and other test sequences.
     """
     values = np.asarray(values, float)
-    if values.size == 0:
-        return (float("nan"),) * 3
+    if values.size <= 1:
+        return (float(values.sum() if values.size else np.nan), float("nan"), float("nan"))
     rng = np.random.default_rng(seed)
     seeds, sequences = (rng.multinomial(n, np.full(n, 1 / n), repeats).astype(float) / n for n in values.shape)
     low, high = np.quantile(((seeds @ values) * sequences).sum(1), [0.025, 0.975])

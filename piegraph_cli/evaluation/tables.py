@@ -80,16 +80,19 @@ def as_json(value: Any) -> str:
     return json.dumps(finite(value), indent=1)
 
 
+def interval(of: tuple[float, float, float], sign: str = "") -> str:
+    """`1.20 [1.10, 1.31]`; `1.20` alone where there is no interval."""
+    return f"{of[0]:{sign}.2f}" + (f" [{of[1]:{sign}.2f}, {of[2]:{sign}.2f}]" if math.isfinite(of[1]) else "")
+
+
 def table_lines(rows: list[dict[str, Any]], scores: list[dict[str, Any]]) -> list[str]:
     """The summaries as a table for people."""
-    heads = f"{'PD [cm]':>18s} {'CD [cm]':>8s} {'S [cm2]':>8s} {'CD+S':>8s} {'PD truth [cm]':>14s}"
+    heads = f"{'PD [cm]':>20s} {'CD [cm]':>8s} {'S [cm2]':>8s} {'CD+S':>8s} {'PD truth [cm]':>14s}"
     lines = [f"{'H':>2s} {'model':14s} {'windows':>7s} {heads}"]
     for row in rows:
-        mean, low, high = row["pd"]
-        text = f"{mean:6.2f} [{low:5.2f},{high:5.2f}]"
         truth = f"{row['pd_truth'][0]:14.2f}" if np.isfinite(row["pd_truth"][0]) else f"{'-':>14s}"
         lines.append(
-            f"{row['horizon']:2d} {row['model']:14s} {row['windows']:7d} {text:>18s} {row['cd'][0]:8.2f} "
+            f"{row['horizon']:2d} {row['model']:14s} {row['windows']:7d} {interval(row['pd']):>20s} {row['cd'][0]:8.2f} "
             f"{row['s'][0]:8.2f} {row['cd+s'][0]:8.2f} {truth}"
         )
     if scores:

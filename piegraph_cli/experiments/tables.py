@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from piegraph_cli.evaluation.tables import Metrics, difference, sequence_means, summarise
+from piegraph_cli.evaluation.tables import Metrics, difference, interval, sequence_means, summarise
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
 from piegraph_cli.experiments.run import Results
 from piegraph_cli.params import ExperimentParams
-
-Interval = tuple[float, float, float]
 
 
 def describe(params: ExperimentParams, results: Results) -> tuple[dict[str, Any], list[str]]:
@@ -80,11 +78,6 @@ def prediction_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
             f"{interval(row['pd']):>22s} {numbers}{more}"
         )
     return [*lines, "PD particle distance, CD chamfer distance (both ways, summed), S shape error; [95 % interval]"]
-
-
-def interval(of: Interval, sign: str = "") -> str:
-    """`1.20 [1.10, 1.31]`."""
-    return f"{of[0]:{sign}.2f} [{of[1]:{sign}.2f}, {of[2]:{sign}.2f}]"
 
 
 def guidance_rows(metrics: dict[str, Metrics]) -> list[dict[str, Any]]:

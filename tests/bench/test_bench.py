@@ -47,7 +47,8 @@ def test_a_wrong_network_is_not_timed(monkeypatch):
 def test_operations_of_the_network_grow_with_its_size():
     small, large = (kernels.network_flop(50, EGNNParams(hidden=hidden)) for hidden in (32, 64))
     assert 2 < large / small < 4
-    assert kernels.network_flop(100, EGNNParams()) == pytest.approx(2 * kernels.network_flop(50, EGNNParams()))
+    twice = 2 * kernels.network_flop(50, EGNNParams())
+    assert kernels.network_flop(100, EGNNParams()) == pytest.approx(twice, rel=2e-3), "all but the map of the mean"
 
 
 def test_the_table_and_the_roofline():

@@ -144,8 +144,13 @@ def validated(params: type[Settings], values: Any, name: str, where: str, hint: 
         if problem["type"] != "extra_forbidden":
             message = problem["msg"].removeprefix("Value error, ")
             raise UsageError(f"{setting}: {message}", where, hint) from None
-        known = ", ".join(field.alias or field_name for field_name, field in params.model_fields.items())
-        raise UsageError(f"{setting}: unknown setting", where, f"settings of {name}: {known}") from None
+        table: type[BaseModel] = params
+        for part in problem["loc"][:-1]:
+            inner = next((f.annotation for n, f in table.model_fields.items() if part in (n, f.alias)), None)
+            table = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else table
+        known = ", ".join(field.alias or field_name for field_name, field in table.model_fields.items())
+        of = setting.rpartition(".")[0]
+        raise UsageError(f"{setting}: unknown setting", where, f"settings of {of}: {known}") from None
 
 
 class TBlockOptions(Params):

@@ -105,6 +105,7 @@ def test_a_further_model_is_trained_beside_the_others(tiny_run, tmp_path):
     assert {(row["model"], row["seeds"]) for row in found} == {("gnn@1", 2), ("static", 1), ("sms-no", 1)}
     refused = piegraph("train", "--run", folder, "--model", "pgnd", "--hidden", "8", check=2)
     assert "train.pgnd.hidden: unknown setting" in refused.stderr
+    assert "settings of train.pgnd: learning_rate, " in refused.stderr
     refused = piegraph("train", "--run", folder, "--model", "gnn@50", check=2)
     assert "2 sequences to train on, 50 are asked for" in refused.stderr
     refused = piegraph("train", "--run", folder, "--model", "static", check=2)

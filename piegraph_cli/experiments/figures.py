@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from piegraph_cli.evaluation import trial_figures
@@ -38,7 +39,8 @@ def error_grid(metrics: dict[str, Metrics]) -> Figure:
     """PD (top) and CD+S (bottom) over strokes predicted in a row, a column per environment; bands: 95 % intervals."""
     figure = Figure(figsize=(max(3.0 * len(metrics), 5.0), 6.0), layout="constrained")
     grid = figure.subplots(2, len(metrics), squeeze=False)
-    colors = {m: f"C{k}" for k, m in enumerate(dict.fromkeys(model for of in metrics.values() for model in of))}
+    models = dict.fromkeys(model for of in metrics.values() for model in of)
+    colors = {model: colormaps["turbo"]((k + 0.5) / len(models)) for k, model in enumerate(models)}
     for column, (env, of) in zip(grid.T, metrics.items(), strict=True):
         rows = summarise(of)
         for axes, metric, unit in zip(column, ("pd", "cd+s"), ("cm", "cm and cm$^2$"), strict=True):

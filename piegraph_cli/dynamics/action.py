@@ -7,8 +7,11 @@ from piegraph_cli.errors import DataError
 MIN_STROKE = 1e-3
 """Metres; a shorter stroke has no heading."""
 
-FEATURES = 5
+FEATURES = 8
 """Node features of `canonical_action`."""
+
+NEAR = 0.01
+"""Metres: the scale of a pusher, on which it is decided whether it takes a rope's end along or slips off."""
 
 PICK_FEATURES = 5
 """Node features of `pick_features`."""
@@ -46,18 +49,21 @@ def stroke_rotation(strokes: torch.Tensor) -> torch.Tensor:
 
 
 def canonical_action(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
-    """Node features [B, N, 5] of positions [B, N, 3] (m) under strokes [B, 7].
+    """Node features [B, N, 8] of positions [B, N, 3] (m) under strokes [B, 7].
 
-    The particle relative to the stroke's end in the stroke's frame (2, m), its height (m), the stroke's length (m), the mode.
+    The particle relative to the stroke's end in the stroke's frame (2, m), its height (m), the stroke's length (m), the mode,
+    and, at the pusher's scale as tanh(u / `NEAR`), how far it is ahead of the end, ahead of the start, and to the side.
     Unchanged when scene and stroke are turned about z or moved in the plane together; not under reflection, since an
     object's centre of mass may lie off its axis.
 
-    Source: paper, Eq. 5; height, length and mode are added, since that expression alone forgets where the stroke began.
+    Source: paper, Eq. 5; height, length and mode are added, since that expression alone forgets where the stroke began; so
+    is the pusher's scale: a network that must resolve millimetres from decimetres gets glancing strokes wrong.
     """
     relative = (positions[..., :2] - strokes[:, None, 2:4]) @ stroke_rotation(strokes)
     length = (strokes[:, 2:4] - strokes[:, :2]).norm(dim=-1)
     shared = torch.stack([length, strokes[:, 4]], -1)[:, None].expand(-1, positions.shape[1], -1)
-    return torch.cat([relative, positions[..., 2:], shared], -1)
+    near = torch.cat([relative[..., :1], relative[..., :1] + shared[..., :1], relative[..., 1:]], -1)
+    return torch.cat([relative, positions[..., 2:], shared, (near / NEAR).tanh()], -1)
 
 
 def grasped_particle(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:

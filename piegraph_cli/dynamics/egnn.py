@@ -147,7 +147,7 @@ class EGNN(nn.Module):
         """
         rest = rest or Rest.of(positions, self.neighbors)
         neighbors = rest.neighbors
-        scale = torch.tensor([DECIMETRE] * 4 + [1.0], dtype=positions.dtype, device=positions.device)
+        scale = torch.tensor([DECIMETRE] * 4 + [1.0] * 4, dtype=positions.dtype, device=positions.device)
         features = canonical_action(positions, strokes) * scale
         if self.picks:
             features = torch.cat([features, _scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)

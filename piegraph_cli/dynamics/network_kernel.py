@@ -15,7 +15,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from piegraph_cli.dynamics.action import FEATURES, PICK_FEATURES, grasped_particle
+from piegraph_cli.dynamics.action import FEATURES, NEAR, PICK_FEATURES, grasped_particle
 from piegraph_cli.dynamics.egnn import DECIMETRE, EGNN, Rest
 from piegraph_cli.kernels.lanes import KERNEL, Launch, accessors, bandwidth_order, start_warp, vector
 
@@ -26,6 +26,7 @@ TILE = 4
 """Channels worked on together, so that their sums stay in registers; hidden sizes are padded to it."""
 
 SCALE = wp.constant(DECIMETRE)
+NEAR_SCALE = wp.constant(NEAR * DECIMETRE)
 
 
 @wp.struct
@@ -88,6 +89,13 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
         r = vec()
         for k in range(lanes):
             r[k] = a[k] / b[k]
+        return r
+
+    @wp.func
+    def squash(a: vec) -> vec:
+        r = vec()
+        for k in range(lanes):
+            r[k] = wp.tanh(a[k] / NEAR_SCALE)
         return r
 
     @wp.func
@@ -189,17 +197,20 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
             row[0, 2] = start[i, 2] * SCALE
             row[0, 3] = length * SCALE
             row[0, 4] = mode
+            row[0, 5] = squash(row[0, 0])
+            row[0, 6] = squash(row[0, 0] + row[0, 3])
+            row[0, 7] = squash(row[0, 1])
             if wp.static(picks):
                 gx = vec(rest[order[i], 0]) - load(grasps, group, 0, 0)
                 gy = vec(rest[order[i], 1]) - load(grasps, group, 0, 1)
                 gz = vec(rest[order[i], 2]) - load(grasps, group, 0, 2)
                 reach = root(wp.cw_mul(gx, gx) + wp.cw_mul(gy, gy) + wp.cw_mul(gz, gz))
                 slack = wp.max(root(wp.cw_mul(dx, dx) + wp.cw_mul(dy, dy)) - reach, zero)
-                row[0, 5] = wp.cw_mul(mode, load(strokes, group, 0, 5))
-                row[0, 6] = wp.cw_mul(mode, load(strokes, group, 0, 6))
-                row[0, 7] = wp.cw_mul(mode, reach) * SCALE
-                row[0, 8] = wp.cw_mul(mode, slack) * SCALE
-                row[0, 9] = wp.cw_mul(mode, start[i, 2] - load(grasps, group, 0, 3)) * SCALE
+                row[0, 8] = wp.cw_mul(mode, load(strokes, group, 0, 5))
+                row[0, 9] = wp.cw_mul(mode, load(strokes, group, 0, 6))
+                row[0, 10] = wp.cw_mul(mode, reach) * SCALE
+                row[0, 11] = wp.cw_mul(mode, slack) * SCALE
+                row[0, 12] = wp.cw_mul(mode, start[i, 2] - load(grasps, group, 0, 3)) * SCALE
             for o in range(0, hidden, TILE):
                 a, b, c, d = bias(weights.embed_bias, o)
                 a, b, c, d = linear(row, 0, weights.embed, o, a, b, c, d)

@@ -5,6 +5,9 @@ from scipy.spatial import cKDTree
 
 CENTIMETRE = 100.0
 
+SHAPE_RADIUS = 0.05
+"""Metres: `shape_error` looks at pairs of particles that are nearer than this at rest, whatever the springs of a model."""
+
 
 def particle_distance(predicted: np.ndarray, target: np.ndarray) -> float:
     """Mean Euclidean distance of corresponding particles [N, 3] (m), in cm. Source: paper, IV-A."""

@@ -9,7 +9,7 @@ import torch
 from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.errors import DataError
-from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
+from piegraph_cli.evaluation.metrics import SHAPE_RADIUS, chamfer_distance, particle_distance, shape_error
 from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
 from piegraph_cli.params import ModelEvaluateParams
 from piegraph_cli.physics.springs import build_springs
@@ -88,7 +88,7 @@ def _evaluate_sequence(
 ):
     """Rows (horizon, first stroke, metrics) of all windows of one sequence; all windows advance as one batch."""
     count = len(sequence["strokes"])
-    edges = build_springs(sequence["rest"], params.spring_radius).pairs
+    edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
     rest, strokes = (torch.as_tensor(sequence[name], dtype=torch.float32) for name in ("rest", "strokes"))
     predict = make_predict(params.label, trained, rest, params)
     positions = torch.as_tensor(sequence["before"])

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piegraph_cli.dynamics.action import canonical_action, check_strokes, make_strokes, stroke_rotation
+from piegraph_cli.dynamics.action import NEAR, canonical_action, check_strokes, make_strokes, stroke_rotation
 from piegraph_cli.dynamics.egnn import EGNN, nearest_neighbors
 from piegraph_cli.errors import DataError
 
@@ -61,8 +61,10 @@ def test_the_canonical_action_tells_where_the_stroke_began_and_its_mode():
 def test_the_canonical_action_is_the_papers():
     strokes = torch.tensor([[0.0, 0.0, 0.0, 2.0, 0.0]])
     features = canonical_action(torch.tensor([[[0.0, 3.0, 0.5], [1.0, 2.0, 0.0]]]), strokes)[0]
-    torch.testing.assert_close(features[0], torch.tensor([1.0, 0.0, 0.5, 2.0, 0.0]))
-    torch.testing.assert_close(features[1], torch.tensor([0.0, -1.0, 0.0, 2.0, 0.0]))
+    torch.testing.assert_close(features[0, :5], torch.tensor([1.0, 0.0, 0.5, 2.0, 0.0]))
+    torch.testing.assert_close(features[1, :5], torch.tensor([0.0, -1.0, 0.0, 2.0, 0.0]))
+    near = torch.tensor([[1.0, 3.0, 0.0], [0.0, 2.0, -1.0]])
+    torch.testing.assert_close(features[:, 5:], (near / NEAR).tanh())
     torch.testing.assert_close(stroke_rotation(strokes)[0] @ torch.tensor([1.0, 0.0]), torch.tensor([0.0, 1.0]))
 
 

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
 from piegraph_cli.evaluation.statistics import bootstrap_mean
 from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance
+from piegraph_cli.params import ModelEvaluateParams
+from piegraph_cli.stages.evaluate import _evaluate_sequence
 
 LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
 
@@ -82,3 +85,24 @@ def test_hand_scores_count_only_frames_with_a_hand():
     scores = hand_scores(seen, found, true)
     assert scores["frames with the hand found"].tolist() == [1, 0]
     np.testing.assert_allclose(scores["end-effector error [mm]"], [5])
+
+
+def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
+    rng = np.random.default_rng(0)
+    rest = np.concatenate([rng.uniform(0, 0.2, (30, 2)), np.zeros((30, 1))], 1).astype(np.float32)
+    sequence = {
+        "rest": rest,
+        "before": rest[None],
+        "after": rest[None] + rng.normal(0, 0.01, (1, 30, 3)).astype(np.float32),
+        "strokes": make_strokes([[0.0, 0.0]], [[0.1, 0.0]], [0]).numpy().astype(np.float32),
+        "frames": np.array([[0, 5]]),
+    }
+    rows = [
+        list(
+            _evaluate_sequence(
+                sequence, None, None, ModelEvaluateParams(label="static", horizons=(1,), spring_radius=radius)
+            )
+        )
+        for radius in (0.02, 0.08)
+    ]
+    np.testing.assert_equal(rows[0], rows[1])

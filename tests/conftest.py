@@ -1,5 +1,6 @@
 """Runs that several tests share, made once per session."""
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,12 @@ def one_thread():
     import torch
 
     torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def interrupts():
+    """A shell's background jobs ignore Ctrl-C, and so would what tests start and interrupt."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 TINY = """

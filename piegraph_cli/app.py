@@ -6,7 +6,10 @@ Results go to stdout, everything else to stderr. Nothing heavy is imported befor
 import contextlib
 import inspect
 import logging
+import os
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -563,8 +566,17 @@ def _options_of_all(
     """Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned."""
 
 
+def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Ctrl-C that falls into a destructor, where Python drops exceptions, comes once more."""
+    if unraisable.exc_type is KeyboardInterrupt:
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
 def main() -> None:
     """The `piegraph` program: a user's mistake ends with one message and its exit code, never a traceback."""
+    sys.unraisablehook = _interrupt_again
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if code == INTERRUPTED:

@@ -104,3 +104,24 @@ def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "goes on from here" in stderr
+
+
+def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
+    program = """
+import signal, time
+from piegraph_cli import app
+
+class Falls:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def work(*arguments, **options):
+    Falls()
+    time.sleep(50)
+
+app.app = work
+app.main()
+"""
+    process = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, timeout=40)
+    assert process.returncode == 130
+    assert "goes on from here" in process.stderr

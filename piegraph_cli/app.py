@@ -439,6 +439,9 @@ def reproduce(
     set: Annotated[
         list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
     ] = None,
+    envs: Annotated[
+        str, typer.Option(help="environments to do, as tblock,toy [default: all of the experiment's]")
+    ] = "",
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
     jobs: Jobs = 1,
     backend: Backend = "local",
@@ -454,7 +457,8 @@ def reproduce(
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     wanted = [experiment] if experiment != "all" else names()
-    chosen = {name: load_experiment(name, quick, set or ()) for name in wanted}
+    of = [env.strip() for env in envs.split(",") if env.strip()]
+    chosen = {name: load_experiment(name, quick, set or (), of) for name in wanted}
     values, lines, code = {}, [], 0
     for name, params in chosen.items():
         with _logging_to(folder):

@@ -82,6 +82,15 @@ def test_settings_of_an_experiment_can_be_changed():
             load_experiment("planning", False, [wrong])
 
 
+def test_an_experiment_can_be_done_for_some_environments():
+    assert list(load_experiment("planning", False, (), ["tshirt", "toy", "tblock"]).interactions) == [
+        "tblock",
+        "tshirt",
+    ]
+    with pytest.raises(UsageError, match="not done for toy"):
+        load_experiment("planning", False, (), ["toy"])
+
+
 def metrics(seeds: int, sequences: int, offset: float) -> list[dict[str, np.ndarray]]:
     rng = np.random.default_rng(0)
     base = rng.uniform(1, 2, (seeds, sequences))

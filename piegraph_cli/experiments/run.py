@@ -45,10 +45,13 @@ def names() -> list[str]:
     return sorted(p.stem for p in FOLDER.glob("*.toml"))
 
 
-def load_experiment(name: str, quick: bool, changes: Sequence[str] = ()) -> ExperimentParams:
+def load_experiment(
+    name: str, quick: bool, changes: Sequence[str] = (), environments: Sequence[str] = ()
+) -> ExperimentParams:
     """The settings of an experiment, those of its [quick] section in place of others where it shall be quick.
 
-    `changes` are SETTING=VALUE with a TOML value, as in `trials.seeds=3`.
+    `changes` are SETTING=VALUE with a TOML value, as in `trials.seeds=3`. Of its environments those in `environments` are
+    kept, by default all. Raises `UsageError` for a name or a setting that is not there, and where no environment is left.
     """
     path = FOLDER / f"{name}.toml"
     if name not in names():
@@ -61,7 +64,12 @@ def load_experiment(name: str, quick: bool, changes: Sequence[str] = ()) -> Expe
             values = _merge(values, tomllib.loads(text))
         except tomllib.TOMLDecodeError:
             raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
-    return validated(ExperimentParams, values, name, str(path), "correct the experiment")
+    params = validated(ExperimentParams, values, name, str(path), "correct the experiment")
+    chosen = {env: n for env, n in params.interactions.items() if not environments or env in environments}
+    if not chosen:
+        hint = f"of {', '.join(params.interactions)}"
+        raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=hint)
+    return params.model_copy(update={"interactions": chosen})
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -346,6 +346,7 @@ class GraphParams(LearningParams):
 class EGNNParams(GraphParams):
     """Settings of piegraph's network."""
 
+    mirror: bool = Field(False, description="equivariant to reflection: right where the mirror image moves alike")
     action_head: bool = Field(True, description="add a displacement in the stroke's frame")
 
 

@@ -7,7 +7,7 @@ from piegraph_cli.errors import DataError
 MIN_STROKE = 1e-3
 """Metres; a shorter stroke has no heading."""
 
-FEATURES = 8
+FEATURES = 10
 """Node features of `canonical_action`."""
 
 NEAR = 0.01
@@ -48,22 +48,33 @@ def stroke_rotation(strokes: torch.Tensor) -> torch.Tensor:
     return torch.stack([torch.stack([cosine, -sine], -1), torch.stack([sine, cosine], -1)], -2)
 
 
-def canonical_action(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
-    """Node features [B, N, 8] of positions [B, N, 3] (m) under strokes [B, 7].
+def canonical_action(
+    positions: torch.Tensor, strokes: torch.Tensor, mirror: bool = False
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Node features [B, N, 10] and sides [B, N, 2] of positions [B, N, 3] (m) under strokes [B, 7].
 
     The particle relative to the stroke's end in the stroke's frame (2, m), its height (m), the stroke's length (m), the mode,
-    and, at the pusher's scale as tanh(u / `NEAR`), how far it is ahead of the end, ahead of the start, and to the side.
-    Unchanged when scene and stroke are turned about z or moved in the plane together; not under reflection, since an
-    object's centre of mass may lie off its axis.
+    at the pusher's scale as tanh(u / `NEAR`) how far it is ahead of the end, ahead of the start, and to the side, and without
+    their signs how far it is to the side in both scales. Unchanged when scene and stroke are turned about z or moved in the
+    plane together.
 
-    Source: paper, Eq. 5; height, length and mode are added, since that expression alone forgets where the stroke began; so
-    is the pusher's scale: a network that must resolve millimetres from decimetres gets glancing strokes wrong.
+    With `mirror` unchanged by reflection too. Then the sides change sign: on which side of the stroke the particle lies,
+    and on which the object, from -1 (right) to 1 (left); what has a sign above is multiplied by the second. Without it sides
+    are one, and left is told from right.
+
+    Source: paper, Eq. 5; the rest is this project's. That expression alone forgets where the stroke began, and a network
+    that must resolve millimetres from decimetres gets glancing strokes wrong.
     """
     relative = (positions[..., :2] - strokes[:, None, 2:4]) @ stroke_rotation(strokes)
     length = (strokes[:, 2:4] - strokes[:, :2]).norm(dim=-1)
     shared = torch.stack([length, strokes[:, 4]], -1)[:, None].expand(-1, positions.shape[1], -1)
-    near = torch.cat([relative[..., :1], relative[..., :1] + shared[..., :1], relative[..., 1:]], -1)
-    return torch.cat([relative, positions[..., 2:], shared, (near / NEAR).tanh()], -1)
+    ahead, aside = relative.split(1, -1)
+    near = (torch.cat([ahead, ahead + shared[..., :1], aside], -1) / NEAR).tanh()
+    side = near[..., 2:]
+    sides = torch.cat([side, side.mean(1, keepdim=True).expand_as(side)], -1) if mirror else torch.ones_like(relative)
+    seen, near_seen = aside * sides[..., 1:], side * sides[..., 1:]
+    parts = [ahead, seen, positions[..., 2:], shared, near[..., :2], near_seen, aside.abs(), side.abs()]
+    return torch.cat(parts, -1), sides
 
 
 def grasped_particle(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:

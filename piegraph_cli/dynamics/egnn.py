@@ -116,22 +116,30 @@ class EGNN(nn.Module):
     leaves as an output of its own, since gravity points along it.
 
     `action_head` adds a displacement given in the stroke's frame: the coordinate updates of a plain EGNN are combinations
-    of differences between particles, so they can never move a straight rope sideways or lift a flat cloth.
+    of differences between particles, so they can never move a straight rope sideways or lift a flat cloth. With `mirror`
+    it is equivariant to reflection too: what the head moves to the side, it moves to the particle's or the object's own.
 
-    Source: paper, III-B; the action-frame head is this project's.
+    Source: paper, III-B; the action-frame head and reflection are this project's.
     """
 
     def __init__(
-        self, neighbors: int, hidden: int, layers: int, action_head: bool, picks: bool = False, pool: bool = True
+        self,
+        neighbors: int,
+        hidden: int,
+        layers: int,
+        action_head: bool,
+        picks: bool = False,
+        pool: bool = True,
+        mirror: bool = False,
     ):
         super().__init__()
-        self.neighbors, self.picks, self.pool = neighbors, picks, pool
+        self.neighbors, self.picks, self.pool, self.mirror = neighbors, picks, pool, mirror
         self.embed = nn.Linear(FEATURES + PICK_FEATURES * picks, hidden)
         self.layers = nn.ModuleList(Layer(hidden, pool) for _ in range(layers))
         self.lift = small_linear(hidden, 1)
         self.head = None
         if action_head:
-            self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), small_linear(hidden, 2))
+            self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), small_linear(hidden, 3))
 
     def forward(
         self,
@@ -147,8 +155,9 @@ class EGNN(nn.Module):
         """
         rest = rest or Rest.of(positions, self.neighbors)
         neighbors = rest.neighbors
-        scale = torch.tensor([DECIMETRE] * 4 + [1.0] * 4, dtype=positions.dtype, device=positions.device)
-        features = canonical_action(positions, strokes) * scale
+        lengths = [DECIMETRE] * 4 + [1.0] * 4 + [DECIMETRE, 1.0]
+        features, sides = canonical_action(positions, strokes, self.mirror)
+        features = features * torch.tensor(lengths, dtype=positions.dtype, device=positions.device)
         if self.picks:
             features = torch.cat([features, _scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
         h = self.embed(features)
@@ -157,7 +166,9 @@ class EGNN(nn.Module):
         for layer in self.layers:
             h, x = layer(h, x, rest2, neighbors)
         if self.head is not None:
-            planar = self.head(h) @ stroke_rotation(strokes).transpose(1, 2)
+            ahead, aside = self.head(h).split([1, 2], -1)
+            planar = torch.cat([ahead, (aside * sides).sum(-1, keepdim=True)], -1)
+            planar = planar @ stroke_rotation(strokes).transpose(1, 2)
             x = x + torch.cat([planar, self.lift(h)], -1)
         else:
             x = x + torch.cat([torch.zeros_like(x[..., :2]), self.lift(h)], -1)

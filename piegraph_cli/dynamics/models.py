@@ -69,9 +69,11 @@ class Model:
     """Given the rest state [N, 3], makes the function (state, setpoint) -> prediction, all [B, N, 3]."""
 
 
-def _pairs(turn: bool) -> Callable[[Sequences, GraphParams, str], Pairs]:
+def _pairs(mirror: bool, turn: bool) -> Callable[[Sequences, GraphParams, str], Pairs]:
+    """Pairs for a network, mirrored where the settings say so and turned: what it is not equivariant to by itself."""
+
     def examples(data: Sequences, params: GraphParams, device: str) -> Pairs:
-        settings = {"shape_weight": params.shape_weight, "mirror": params.mirror, "turn": turn}
+        settings = {"shape_weight": params.shape_weight, "mirror": mirror and params.mirror, "turn": turn}
         return Pairs.of(data, params.neighbors, device, **settings)
 
     return examples
@@ -142,7 +144,7 @@ def _rigid(rest: torch.Tensor, params: PredictionParams) -> Correct:
 
 
 def _egnn(params: EGNNParams, picks: bool) -> EGNN:
-    return EGNN(params.neighbors, params.hidden, params.layers, params.action_head, picks, params.pool)
+    return EGNN(params.neighbors, params.hidden, params.layers, params.action_head, picks, params.pool, params.mirror)
 
 
 def _gnn(params: GraphParams, picks: bool) -> GNN:
@@ -171,14 +173,14 @@ _SPRINGS = Learner(
 )
 _ACTION_NODES = Learner(
     lambda params, picks: ActionNodeEGNN(params.neighbors, params.hidden, params.layers, picks, params.pool),
-    _pairs(False),
+    _pairs(mirror=True, turn=False),
     _in_torch,
 )
 
 MODELS: dict[str, Model] = {
     "piegraph": Model(
         "the network's prediction, kept physical by springs it guides",
-        Learner(_egnn, _pairs(False), _in_kernel),
+        Learner(_egnn, _pairs(mirror=False, turn=False), _in_kernel),
         _guided,
     ),
     "piegraph-ng": Model("the network alone, no guidance"),
@@ -186,8 +188,8 @@ MODELS: dict[str, Model] = {
     "egnn-g": Model(
         "the stroke as two nodes of the graph in place of canonical actions, and guidance", _ACTION_NODES, _guided
     ),
-    "gnn": Model("a graph network without equivariance", Learner(_gnn, _pairs(False), _in_torch)),
-    "gnn-aug": Model("the same, trained on turned examples", Learner(_gnn, _pairs(True), _in_torch)),
+    "gnn": Model("a graph network without equivariance", Learner(_gnn, _pairs(mirror=True, turn=False), _in_torch)),
+    "gnn-aug": Model("the same, trained on turned examples", Learner(_gnn, _pairs(mirror=True, turn=True), _in_torch)),
     "sms-no": Model("springs pushed by a disc, their numbers as given"),
     "sms-o": Model("springs pushed by a disc, their numbers fitted by gradient", _SPRINGS),
     "pgnd": Model(

@@ -55,7 +55,7 @@ class Weights:
 
 
 @functools.cache
-def _kernel(lanes: int, picks: bool) -> wp.Kernel:
+def _kernel(lanes: int, picks: bool, mirror: bool) -> wp.Kernel:
     """The kernel for groups of `lanes` candidates."""
     vec = vector(lanes)
     load, store = accessors(lanes)
@@ -97,6 +97,11 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
         for k in range(lanes):
             r[k] = wp.tanh(a[k] / NEAR_SCALE)
         return r
+
+    @wp.func
+    def beside(dx: vec, dy: vec, hx: vec, hy: vec):
+        """How far (dx, dy) lies to the left of the heading."""
+        return (wp.cw_mul(dy, hx) - wp.cw_mul(dx, hy)) * SCALE
 
     @wp.func
     def linear(
@@ -188,29 +193,39 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
         hx = quotient(hx, length)
         hy = quotient(hy, length)
         mode = load(strokes, group, 0, 4)
+        object_side = one
+        if wp.static(mirror):
+            object_side = zero
+            for i in range(particles):
+                object_side += squash(beside(start[i, 0] - ex, start[i, 1] - ey, hx, hy))
+            object_side = object_side * share
 
         for i in range(particles):
             dx = start[i, 0] - ex
             dy = start[i, 1] - ey
             row[0, 0] = (wp.cw_mul(dx, hx) + wp.cw_mul(dy, hy)) * SCALE
-            row[0, 1] = (wp.cw_mul(dy, hx) - wp.cw_mul(dx, hy)) * SCALE
+            row[0, 1] = beside(dx, dy, hx, hy)
             row[0, 2] = start[i, 2] * SCALE
             row[0, 3] = length * SCALE
             row[0, 4] = mode
             row[0, 5] = squash(row[0, 0])
             row[0, 6] = squash(row[0, 0] + row[0, 3])
             row[0, 7] = squash(row[0, 1])
+            row[0, 8] = wp.max(row[0, 1], -row[0, 1])
+            row[0, 9] = wp.max(row[0, 7], -row[0, 7])
+            row[0, 1] = wp.cw_mul(row[0, 1], object_side)
+            row[0, 7] = wp.cw_mul(row[0, 7], object_side)
             if wp.static(picks):
                 gx = vec(rest[order[i], 0]) - load(grasps, group, 0, 0)
                 gy = vec(rest[order[i], 1]) - load(grasps, group, 0, 1)
                 gz = vec(rest[order[i], 2]) - load(grasps, group, 0, 2)
                 reach = root(wp.cw_mul(gx, gx) + wp.cw_mul(gy, gy) + wp.cw_mul(gz, gz))
                 slack = wp.max(root(wp.cw_mul(dx, dx) + wp.cw_mul(dy, dy)) - reach, zero)
-                row[0, 8] = wp.cw_mul(mode, load(strokes, group, 0, 5))
-                row[0, 9] = wp.cw_mul(mode, load(strokes, group, 0, 6))
-                row[0, 10] = wp.cw_mul(mode, reach) * SCALE
-                row[0, 11] = wp.cw_mul(mode, slack) * SCALE
-                row[0, 12] = wp.cw_mul(mode, start[i, 2] - load(grasps, group, 0, 3)) * SCALE
+                row[0, 10] = wp.cw_mul(mode, load(strokes, group, 0, 5))
+                row[0, 11] = wp.cw_mul(mode, load(strokes, group, 0, 6))
+                row[0, 12] = wp.cw_mul(mode, reach) * SCALE
+                row[0, 13] = wp.cw_mul(mode, slack) * SCALE
+                row[0, 14] = wp.cw_mul(mode, start[i, 2] - load(grasps, group, 0, 3)) * SCALE
             for o in range(0, hidden, TILE):
                 a, b, c, d = bias(weights.embed_bias, o)
                 a, b, c, d = linear(row, 0, weights.embed, o, a, b, c, d)
@@ -320,8 +335,14 @@ def _kernel(lanes: int, picks: bool) -> wp.Kernel:
                 a, b, c, d = bias(weights.head_bias, o)
                 a, b, c, d = linear(h, i, weights.head, o, a, b, c, d)
                 put(row, 0, o, gate(a), gate(b), gate(c), gate(d))
+            particle_side = one
+            if wp.static(mirror):
+                dx = load(positions, group, order[i], 0) - ex
+                dy = load(positions, group, order[i], 1) - ey
+                particle_side = squash(beside(dx, dy, hx, hy))
             a, b, c, d = bias(weights.planar_bias, 0)
-            px, py, c, d = linear(row, 0, weights.planar, 0, a, b, c, d)
+            px, py, pw, d = linear(row, 0, weights.planar, 0, a, b, c, d)
+            py = wp.cw_mul(py, particle_side) + wp.cw_mul(pw, object_side)
             a, b, c, d = bias(weights.lift_bias, 0)
             pz, b, c, d = linear(h, i, weights.lift, 0, a, b, c, d)
             following[i, 0] = (x[i, 0] - start[i, 0] + wp.cw_mul(hx, px) - wp.cw_mul(hy, py)) / SCALE
@@ -381,7 +402,7 @@ class NetworkKernel:
         arguments += [launch.scratch(particles, hidden) for _ in range(2)]
         arguments += [launch.scratch(particles, 3) for _ in range(3)]
         arguments += [launch.scratch(3, count), launch.scratch(2, max(hidden, FEATURES + PICK_FEATURES))]
-        launch.run(_kernel(launch.lanes, self.network.picks), arguments)
+        launch.run(_kernel(launch.lanes, self.network.picks, self.network.mirror), arguments)
         return out
 
 
@@ -393,8 +414,8 @@ def _pack(network: EGNN, count: int, device: str) -> Weights:
         zero = {
             "head.0.weight": (hidden, hidden),
             "head.0.bias": hidden,
-            "head.2.weight": (2, hidden),
-            "head.2.bias": 2,
+            "head.2.weight": (3, hidden),
+            "head.2.bias": 3,
         }
         named |= {name: np.zeros(shape) for name, shape in zero.items()}
     if not network.pool:

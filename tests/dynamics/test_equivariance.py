@@ -31,48 +31,63 @@ def turn(angle: float, shift: tuple[float, float], positions: torch.Tensor, stro
     return moved, torch.cat([*ends, strokes[:, 4:]], -1)
 
 
-def network(action_head: bool) -> EGNN:
+def reflect(positions: torch.Tensor, strokes: torch.Tensor):
+    flip = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+    return positions * flip, torch.cat([strokes[:, :2] * flip[:2], strokes[:, 2:4] * flip[:2], strokes[:, 4:]], -1)
+
+
+def network(action_head: bool, mirror: bool = False) -> EGNN:
     torch.manual_seed(0)
-    net = EGNN(neighbors=6, hidden=16, layers=3, action_head=action_head).double()
+    net = EGNN(neighbors=6, hidden=16, layers=3, action_head=action_head, mirror=mirror).double()
     for parameter in net.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
     return net.eval()
 
 
-@given(st.integers(0, 100), angles, shifts)
+@given(st.integers(0, 100), angles, shifts, st.booleans())
 @settings(max_examples=40, deadline=None)
-def test_the_canonical_action_does_not_change_with_the_frame(seed, angle, shift):
+def test_the_canonical_action_does_not_change_with_the_frame(seed, angle, shift, mirror):
     positions, strokes = scene(seed)
-    before = canonical_action(positions, strokes)
-    after = canonical_action(*turn(angle, shift, positions, strokes))
+    before = canonical_action(positions, strokes, mirror)
+    after = canonical_action(*turn(angle, shift, positions, strokes), mirror)
     torch.testing.assert_close(after, before, atol=1e-9, rtol=1e-7)
+
+
+def test_reflection_changes_the_sides_alone():
+    positions, strokes = scene(4)
+    features, sides = canonical_action(positions, strokes, mirror=True)
+    reflected, other_sides = canonical_action(*reflect(positions, strokes), mirror=True)
+    torch.testing.assert_close(reflected, features)
+    torch.testing.assert_close(other_sides, -sides)
+    assert (sides.abs() > 0.1).any()
 
 
 def test_the_canonical_action_tells_where_the_stroke_began_and_its_mode():
     positions, strokes = scene(0)
     longer = strokes.clone()
     longer[:, :2] -= longer[:, 2:4] - longer[:, :2]
-    assert not torch.allclose(canonical_action(positions, strokes), canonical_action(positions, longer))
+    assert not torch.allclose(canonical_action(positions, strokes)[0], canonical_action(positions, longer)[0])
     other = strokes.clone()
     other[:, 4] = 1 - other[:, 4]
-    assert not torch.allclose(canonical_action(positions, strokes), canonical_action(positions, other))
+    assert not torch.allclose(canonical_action(positions, strokes)[0], canonical_action(positions, other)[0])
 
 
 def test_the_canonical_action_is_the_papers():
     strokes = torch.tensor([[0.0, 0.0, 0.0, 2.0, 0.0]])
-    features = canonical_action(torch.tensor([[[0.0, 3.0, 0.5], [1.0, 2.0, 0.0]]]), strokes)[0]
+    features = canonical_action(torch.tensor([[[0.0, 3.0, 0.5], [1.0, 2.0, 0.0]]]), strokes)[0][0]
     torch.testing.assert_close(features[0, :5], torch.tensor([1.0, 0.0, 0.5, 2.0, 0.0]))
     torch.testing.assert_close(features[1, :5], torch.tensor([0.0, -1.0, 0.0, 2.0, 0.0]))
     near = torch.tensor([[1.0, 3.0, 0.0], [0.0, 2.0, -1.0]])
-    torch.testing.assert_close(features[:, 5:], (near / NEAR).tanh())
+    torch.testing.assert_close(features[:, 5:8], (near / NEAR).tanh())
+    torch.testing.assert_close(features[:, 8:], torch.stack([features[:, 1].abs(), features[:, 7].abs()], 1))
     torch.testing.assert_close(stroke_rotation(strokes)[0] @ torch.tensor([1.0, 0.0]), torch.tensor([0.0, 1.0]))
 
 
-@given(st.integers(0, 100), angles, shifts, st.booleans())
+@given(st.integers(0, 100), angles, shifts, st.booleans(), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_the_network_turns_and_moves_with_the_scene(seed, angle, shift, head):
+def test_the_network_turns_and_moves_with_the_scene(seed, angle, shift, head, mirror):
     positions, strokes = scene(seed)
-    net = network(head)
+    net = network(head, mirror)
     with torch.no_grad():
         predicted, _ = turn(angle, shift, net(positions, strokes), strokes)
         turned = net(*turn(angle, shift, positions, strokes))
@@ -91,14 +106,16 @@ def test_the_order_of_particles_does_not_matter(seed, head):
         )
 
 
-def test_reflection_is_no_symmetry():
-    positions, strokes = scene(3)
-    mirror = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
-    mirrored = torch.cat([strokes[:, :2] * mirror[:2], strokes[:, 2:4] * mirror[:2], strokes[:, 4:]], -1)
-    with torch.no_grad():
-        assert not torch.allclose(
-            network(True)(positions * mirror, mirrored), network(True)(positions, strokes) * mirror
-        )
+@given(st.integers(0, 100), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_reflection_is_a_symmetry_where_it_shall_be(seed, head):
+    positions, strokes = scene(seed)
+    for mirror in (True, False):
+        net = network(head, mirror)
+        with torch.no_grad():
+            expected, _ = reflect(net(positions, strokes), strokes)
+            found = net(*reflect(positions, strokes))
+        assert torch.allclose(found, expected, atol=1e-8) == mirror
 
 
 def test_only_the_action_head_moves_a_straight_rope_sideways():
@@ -106,9 +123,11 @@ def test_only_the_action_head_moves_a_straight_rope_sideways():
     rope[0, :, 0] = torch.linspace(0, 0.3, 20)
     stroke = torch.tensor([[0.15, -0.05, 0.15, 0.05, 0.0]], dtype=torch.float64)
     with torch.no_grad():
-        without, with_head = (network(head)(rope, stroke)[0, :, 1].abs().max() for head in (False, True))
+        without, with_head, mirrored = (
+            network(*choice)(rope, stroke)[0, :, 1].abs().max() for choice in ((False,), (True,), (True, True))
+        )
     assert without < 1e-12
-    assert with_head > 1e-3
+    assert min(with_head, mirrored) > 1e-3
 
 
 def test_the_batch_does_not_mix():

@@ -45,9 +45,9 @@ def difference(rest, states, strokes, network) -> tuple[float, float]:
 
 @pytest.mark.parametrize("head", [True, False])
 @pytest.mark.parametrize("picks", [True, False])
-@pytest.mark.parametrize("pool", [True, False])
-def test_agrees_with_the_network(head, picks, pool):
-    network = EGNN(12, 32, 4, head, picks, pool)
+@pytest.mark.parametrize(("pool", "mirror"), [(True, True), (True, False), (False, False)])
+def test_agrees_with_the_network(head, picks, pool, mirror):
+    network = EGNN(12, 32, 4, head, picks, pool, mirror)
     deviation, motion = difference(*case(0, 100, 50, network), network)
     assert motion > 0.01
     assert deviation < 1e-5
@@ -63,7 +63,7 @@ def test_agrees_with_the_network(head, picks, pool):
     st.integers(1, 3),
 )
 def test_any_size(seed, batch, particles, neighbors, hidden, layers):
-    network = EGNN(neighbors, hidden, layers, True, True)
+    network = EGNN(neighbors, hidden, layers, True, True, mirror=seed % 2 == 0)
     assert difference(*case(seed, batch, particles, network), network)[0] < 1e-5
 
 

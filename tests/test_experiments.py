@@ -38,6 +38,17 @@ def test_recipes_train_what_they_evaluate_and_plan_with(name, quick, tmp_path):
             assert {own for label in trials.models if (own := trained_name(f"{label}.seed0"))} <= trained
 
 
+def test_a_variant_that_changes_nothing_is_left_out():
+    """A rope's recipe has the head and mirrors; in a search the variants are all there is, and stay."""
+    train = recipe_of(load_experiment("ablations", False), "rope-bendy", None).params(STAGES["train"])
+    assert isinstance(train, TrainParams)
+    ours = [label for label in train.models if label.startswith("piegraph")]
+    assert ours == ["piegraph@100", "piegraph:nopool@100", "piegraph:nomirror@100", "piegraph:nohead@100"]
+    search = recipe_of(load_experiment("search", False), "rope-bendy", None).params(STAGES["train"])
+    assert isinstance(search, TrainParams)
+    assert len(search.models) == 18
+
+
 def test_an_experiment_end_to_end(tmp_path):
     """Predictions, what fewer sequences cost, trials, pictures; a second time nothing is done and the table is equal."""
     command = ("reproduce", "data-fidelity", "--quick", "--runs", tmp_path / "a b", "--jobs", 2)

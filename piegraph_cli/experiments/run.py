@@ -10,7 +10,15 @@ from typing import Any
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
 from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.evaluation.trials import Trial
-from piegraph_cli.params import LEARNED, ExperimentParams, SimulateParams, TrainParams, trained_label, validated
+from piegraph_cli.params import (
+    LEARNED,
+    ExperimentParams,
+    SimulateParams,
+    TrainParams,
+    split_label,
+    trained_label,
+    validated,
+)
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
@@ -98,15 +106,24 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
         if simulate.get("modes") or environment in ("tshirt", "cloth"):
             put("track", mode="pick")
     put("dataset", train=params.training, validation=params.validation)
-    labels = params.labels(environment)
-    trained = list(dict.fromkeys(own for label in labels if (own := trained_label(label))))
-    put("train", models=trained or ["piegraph"], seeds=list(params.seeds), variants=params.variants)
+    put("train", seeds=list(params.seeds), variants=params.variants)
     train = recipe.params(STAGES["train"])
     assert isinstance(train, TrainParams)
+    labels = [label for label in params.labels(environment) if not _repeats(label, params.labels(environment), train)]
+    trained = list(dict.fromkeys(own for label in labels if (own := trained_label(label))))
+    put("train", models=trained or ["piegraph"])
     if params.steps != 1:
         put("train", **{f"{name}.steps": max(10, round(train.of(name).steps * params.steps)) for name in LEARNED})
     put("evaluate", models=labels, horizons=list(params.horizons))
     return recipe
+
+
+def _repeats(label: str, labels: Sequence[str], train: TrainParams) -> bool:
+    """Whether a variant has the very settings of its model, which is among the labels too."""
+    own, colon_variant = trained_label(label), f":{split_label(label)[1]}"
+    if own is None or label.replace(colon_variant, "") not in labels:
+        return False
+    return colon_variant in own and train.of(own) == train.of(own.replace(colon_variant, ""))
 
 
 def run_experiment(name: str, params: ExperimentParams, folder: Path, options: Options) -> list[PiegraphError]:

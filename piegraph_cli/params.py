@@ -346,7 +346,7 @@ class GraphParams(LearningParams):
 class EGNNParams(GraphParams):
     """Settings of piegraph's network."""
 
-    mirror: bool = Field(False, description="equivariant to reflection: right where the mirror image moves alike")
+    mirror: bool = Field(True, description="equivariant to reflection: wrong where left and right differ unseen")
     action_head: bool = Field(True, description="add a displacement in the stroke's frame")
 
 

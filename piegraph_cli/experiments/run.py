@@ -72,12 +72,12 @@ def load_experiment(
             values = _merge(values, tomllib.loads(text))
         except tomllib.TOMLDecodeError:
             raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
-    params = validated(ExperimentParams, values, name, str(path), "correct the experiment")
-    chosen = {env: n for env, n in params.interactions.items() if not environments or env in environments}
-    if not chosen:
-        hint = f"of {', '.join(params.interactions)}"
-        raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=hint)
-    return params.model_copy(update={"interactions": chosen})
+    if environments:
+        has = values["interactions"]
+        values["interactions"] = {env: counts for env, counts in has.items() if env in environments}
+        if not values["interactions"]:
+            raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=f"of {', '.join(has)}")
+    return validated(ExperimentParams, values, name, str(path), "correct the experiment")
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -100,6 +100,8 @@ def test_an_experiment_can_be_done_for_some_environments():
     ]
     few = load_experiment("recordings", False, ["training=8", "interactions.toy=[8]"], ["toy"])
     assert few.interactions == {"toy": (8,)}
+    with pytest.raises(UsageError, match="interactions"):
+        load_experiment("recordings", False, ["interactions=8"], ["toy"])
     with pytest.raises(UsageError, match="not done for toy"):
         load_experiment("planning", False, (), ["toy"])
 

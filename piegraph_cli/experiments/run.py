@@ -72,8 +72,8 @@ def load_experiment(
             values = _merge(values, tomllib.loads(text))
         except tomllib.TOMLDecodeError:
             raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
-    if environments:
-        has = values["interactions"]
+    has = values["interactions"]
+    if environments and isinstance(has, dict):
         values["interactions"] = {env: counts for env, counts in has.items() if env in environments}
         if not values["interactions"]:
             raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=f"of {', '.join(has)}")

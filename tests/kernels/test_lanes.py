@@ -65,7 +65,7 @@ def test_without_a_cache_folder_kernels_are_compiled_and_it_is_said(tmp_path):
 def test_the_same_source_compiles_for_cuda(tmp_path):
     terms = spring_kernel._Terms(True, True, True, True)
     pair = spring_kernel._kernels(1, terms)
-    for number, kernel in enumerate((pair.guide, pair.push, network_kernel._kernel(1, True))):
+    for number, kernel in enumerate((pair.guide, pair.push, network_kernel._kernel(1, True, True))):
         wp.compile_aot_module(kernel.module, arch=80, module_dir=str(tmp_path / str(number)))
         assert list((tmp_path / str(number)).glob("*.sm80.*"))
 

@@ -4,10 +4,13 @@ import functools
 
 import warp as wp
 
-from piegraph_cli.kernels.lanes import vector
+from piegraph_cli.kernels.lanes import WIDE, vector
 
 ACCUMULATORS = 10
 """Enough to hide the latency of one, few enough for the registers."""
+
+OPTIONS = {"module": "unique", "enable_backward": False, "module_options": {"cpu_compiler_flags": WIDE}}
+"""Of both kernels: unrolled, unlike the kernels of many lanes."""
 
 
 @functools.cache
@@ -15,7 +18,7 @@ def multiply_add(width: int) -> wp.Kernel:
     """A kernel of independent fused multiply-adds on vectors of `width` floats."""
     vec = vector(width)
 
-    @wp.kernel(module="unique", enable_backward=False)  # unrolled, unlike the kernels of many lanes
+    @wp.kernel(**OPTIONS)
     def loop(first_group: int, first_slot: int, apart: int, values: wp.array2d(dtype=vec), steps: int):
         slot = first_slot + wp.tid() * apart
         factor = values[slot, 0]
@@ -60,7 +63,7 @@ def copy_back_and_forth(width: int) -> wp.Kernel:
     """A kernel that copies rows of vectors of `width` floats to others and, reversed, back."""
     vec = vector(width)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(**OPTIONS)
     def loop(
         first_group: int, first_slot: int, apart: int, a: wp.array2d(dtype=vec), b: wp.array2d(dtype=vec), steps: int
     ):

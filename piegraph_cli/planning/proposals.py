@@ -11,6 +11,9 @@ from piegraph_cli.params import PICK, PUSH
 CLEARANCE = 0.008
 """Metres between the pusher's start and its first contact."""
 
+DEPTH = 0.7
+"""How far a push goes into the object at least, in radii of the pusher. What only grazes it moves it by a millimetre or
+two, where models promise centimetres, and planning then repeats a stroke that does nothing."""
 
 NEIGHBORS = 8
 """Particles joined to each one to fill the gaps between them."""
@@ -115,7 +118,7 @@ class StrokeSpace:
     def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Strokes [B, 7] (m) on positions [B, N, 3] (m), and whether each is feasible [B].
 
-        Infeasible: a push that passes by, or an end outside the workspace.
+        Infeasible: a push that passes by or grazes, see `DEPTH`, or an end outside the workspace.
         """
         mode = proposals[:, 0]
         start, end, feasible = (
@@ -145,12 +148,12 @@ class StrokeSpace:
         side = x * across[:, :1] + y * across[:, 1:]
         middle, half = (side.amax(1) + side.amin(1)) / 2, (side.amax(1) - side.amin(1)) / 2
         offset = middle + share * half
-        reach = (self.pusher_radius + self.margin) ** 2 - (side - offset[:, None]).square()
-        contact = torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(1)
-        hit = contact.isfinite()
-        first = torch.where(hit, contact, 0.0) - CLEARANCE
+        apart = (side - offset[:, None]).square()
+        contact = _first_contact(depth, apart, self.pusher_radius + self.margin)
+        first = torch.where(contact.isfinite(), contact, 0.0) - CLEARANCE
         start = centre + along * first[:, None] + across * offset[:, None]
-        return start, start + along * length[:, None], hit
+        goes_in = _first_contact(depth, apart, (1 - DEPTH) * self.pusher_radius + self.margin) < first + length
+        return start, start + along * length[:, None], goes_in
 
     def _picks(self, positions: torch.Tensor, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         planar = positions[..., :2]
@@ -172,6 +175,13 @@ class StrokeSpace:
         xmin, xmax, ymin, ymax = self.workspace[:4]
         x, y = points.unbind(-1)
         return (x >= xmin) & (x <= xmax) & (y >= ymin) & (y <= ymax)
+
+
+def _first_contact(depth: torch.Tensor, apart: torch.Tensor, radius: float) -> torch.Tensor:
+    """How deep along its heading [B] (m) a disc's centre is when it meets a point of depth [B, M] (m) and squared distance
+    to the side [B, M] (m2); infinite if it meets none."""
+    reach = radius**2 - apart
+    return torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(1)
 
 
 def _wrap(angle: torch.Tensor) -> torch.Tensor:

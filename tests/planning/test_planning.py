@@ -48,6 +48,19 @@ def test_a_push_starts_off_an_object_that_is_thicker_than_its_particles_show():
     assert gaps.min() >= space.pusher_radius + 0.008, "oblique pushes start off the rope too"
 
 
+def test_a_push_that_grazes_is_infeasible_until_it_goes_in():
+    side = torch.stack([torch.linspace(0, 0.4, 81), torch.zeros(81), torch.zeros(81)], 1)
+    space = replace(SPACE, edges=solid_edges(side))
+    lengths = torch.tensor([0.02, 0.05, 0.1, 0.2, 0.3])
+    proposals = torch.nn.functional.pad(lengths[:, None], (3, 1))
+    proposals[:, 1], proposals[:, 2] = -math.radians(3), 0.5
+    strokes, feasible = space.strokes(side.expand(5, -1, -1), proposals)
+    ends = torch.stack([strokes[:, :2], strokes[:, 2:4]], 1)
+    into = space.pusher_radius + space.margin - ends[:, 1, 1]
+    assert (ends[:, 0, 1] > 0.012).all(), "from above"
+    assert feasible.tolist() == (into > 0.007).tolist() == [False, False, False, True, True]
+
+
 def test_strokes_out_of_the_workspace_are_infeasible():
     _, feasible = SPACE.strokes(
         (SQUARE + torch.tensor([0.45, 0.0, 0.0]))[None], torch.tensor([[PUSH, 0.0, 0.0, 0.1, 0.0]])

@@ -167,6 +167,7 @@ def test_a_goal_may_be_a_frame_of_a_track(planner, tiny_run):
         (["--env", "tblock", "--goal", "empty.ply"], 3, "holds no finite points"),
         (["--env", "tblock", "--goal-pose", "50,0,0"], 3, "the goal lies around"),
         (["--env", "tblock", "--min-length", "0.2", "--max-length", "0.1"], 2, "min_length 0.2 is not below"),
+        (["--env", "tblock", "--min-length", "0.01", "--max-length", "0.015"], 2, "do not go into the object"),
         (["--env", "tblock", "--goal", "words.txt"], 3, "cannot read clouds from .txt"),
         (["--env", "tblock", "--goal", "empty.npz", "--goal-pose", "0,0,1"], 2, "one goal, not two"),
         (["--env", "tblock", "--model", "oracle"], 2, "plan.model: no model oracle: piegraph, "),

@@ -31,7 +31,7 @@ from piegraph_cli.weights import cache_folder
 
 log = logging.getLogger("piegraph")
 
-WIDE = f"{wp.config.cpu_compiler_flags}{' -mprefer-vector-width=512' * (platform.machine() == 'x86_64')}"
+WIDE = wp.config.cpu_compiler_flags + (" -mprefer-vector-width=512" if platform.machine() == "x86_64" else "")
 """Whole registers where the CPU has them: by itself the compiler takes half of AVX-512 on Intel's, and kernels take half
 as long again."""
 

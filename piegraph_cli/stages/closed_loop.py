@@ -12,7 +12,7 @@ from piegraph_cli.params import MODE_NAMES, PICK, PUSH, PlanParams, trained_labe
 from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import Step, run_episode
-from piegraph_cli.planning.proposals import StrokeSpace, solid_edges
+from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, plan_strokes
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.simulate import make_environment
@@ -114,7 +114,17 @@ def make_planner(
 
 
 def stroke_space(state: torch.Tensor, params: PlanParams, modes: tuple[int, ...]) -> StrokeSpace:
-    """The strokes to search for an object whose rest state is `state` [N, 3] (m)."""
+    """The strokes to search for an object whose rest state is `state` [N, 3] (m).
+
+    Raises `UsageError` if the longest push ends before it has gone into the object.
+    """
+    shortest = CLEARANCE + DEPTH * params.pusher_radius
+    if PUSH in modes and params.max_length <= shortest:
+        raise UsageError(
+            f"pushes of {params.max_length:g} m at most do not go into the object with this pusher",
+            "plan.max_length",
+            f"more than {shortest:g}",
+        )
     return StrokeSpace(
         modes,
         solid_edges(state),

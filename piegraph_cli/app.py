@@ -21,8 +21,10 @@ import typer
 from pydantic.fields import FieldInfo
 
 from piegraph_cli import __version__
+from piegraph_cli.dynamics.params import LEARNED, TrainParams, split_label, trained_label
+from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import PiegraphError, UsageError
-from piegraph_cli.params import LEARNED, Params, SimulateParams, TrainParams, split_label, trained_label
+from piegraph_cli.params import Params
 from piegraph_cli.stages import STAGES, Stage
 
 app = typer.Typer(

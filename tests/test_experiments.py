@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from piegraph_cli.dynamics.params import TrainParams
 from piegraph_cli.errors import UsageError
 from piegraph_cli.evaluation.statistics import bootstrap_grid
 from piegraph_cli.evaluation.tables import difference, sequence_means, summarise
+from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.experiments.run import load_experiment, names, recipe_of, trial_recipe
-from piegraph_cli.params import ExperimentParams, TrainParams, TrialsParams
+from piegraph_cli.planning.params import TrialsParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.grid import evaluated_names, trained_name, trained_names
 from tests.cli import REPOSITORY, piegraph, piegraph_json

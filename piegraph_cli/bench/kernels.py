@@ -11,8 +11,9 @@ from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, 
 from piegraph_cli.dynamics.action import FEATURES, make_strokes
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
-from piegraph_cli.params import EGNNParams, GuidanceParams
+from piegraph_cli.dynamics.params import EGNNParams
 from piegraph_cli.physics import spring_kernel
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import SpringGraph, build_springs, stability_bound
 

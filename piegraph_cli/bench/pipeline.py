@@ -13,13 +13,15 @@ from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, 
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences
 from piegraph_cli.dynamics.models import MODELS, Predict, Trained, make_predict
+from piegraph_cli.dynamics.params import LEARNED, EGNNParams, LearningParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import UsageError
-from piegraph_cli.params import LEARNED, PUSH, EGNNParams, LearningParams, PlanParams
+from piegraph_cli.params import PUSH
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.physics.tracking import track
 from piegraph_cli.planning.costs import make_cost
+from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.search import plan_strokes
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.closed_loop import stroke_space

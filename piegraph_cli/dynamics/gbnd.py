@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, gather_neighbors, small_linear
 from piegraph_cli.dynamics.examples import Window
-from piegraph_cli.params import GBNDParams
+from piegraph_cli.dynamics.params import GBNDParams
 
 HISTORY = 3
 ROUNDS = 3

@@ -13,8 +13,7 @@ from piegraph_cli.dynamics.action import check_strokes
 from piegraph_cli.dynamics.egnn import EGNN, GNN, ActionNodeEGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
-from piegraph_cli.dynamics.training import Examples
-from piegraph_cli.params import (
+from piegraph_cli.dynamics.params import (
     TRAINED_AS,
     EGNNParams,
     GBNDParams,
@@ -25,6 +24,7 @@ from piegraph_cli.params import (
     SMSParams,
     split_label,
 )
+from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.springs import build_springs
@@ -64,7 +64,7 @@ class Model:
 
     help: str
     learner: Learner | None = None
-    """None for a model that is not trained itself: see `params.TRAINED_AS`."""
+    """None for a model that is not trained itself: see `dynamics.params.TRAINED_AS`."""
     correction: Callable[[torch.Tensor, PredictionParams], Correct] | None = None
     """Given the rest state [N, 3], makes the function (state, setpoint) -> prediction, all [B, N, 3]."""
 

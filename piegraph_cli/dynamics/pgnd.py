@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, small_linear
 from piegraph_cli.dynamics.examples import Window
-from piegraph_cli.params import PGNDParams
+from piegraph_cli.dynamics.params import PGNDParams
 
 FRAME = 0.2
 """Seconds between frames: recordings and simulations are sampled at 5 Hz."""

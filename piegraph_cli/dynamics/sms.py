@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.params import PICK, SMSParams
+from piegraph_cli.dynamics.params import SMSParams
+from piegraph_cli.params import PICK
 from piegraph_cli.physics import simulation
 from piegraph_cli.physics.simulation import PushParams
 from piegraph_cli.physics.springs import SpringGraph, build_springs, stability_bound

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import nn
 
+from piegraph_cli.dynamics.params import LearningParams
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import LearningParams
 
 HELD_OUT = 256
 """Validation examples looked at: as many of all, evenly spread."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from piegraph_cli import params
+from piegraph_cli.environments import params
 from piegraph_cli.errors import MissingError, UsageError
 from piegraph_cli.params import Params
 

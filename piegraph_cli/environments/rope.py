@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene
-from piegraph_cli.params import RopeOptions
+from piegraph_cli.environments.params import RopeOptions
 
 _NODES = 24
 _SIDES = 12

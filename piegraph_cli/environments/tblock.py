@@ -20,8 +20,8 @@ from piegraph_cli.environments.base import (
     check_state,
     stroke_frames,
 )
+from piegraph_cli.environments.params import TBlockOptions
 from piegraph_cli.environments.shapes import Block, place, t_block
-from piegraph_cli.params import TBlockOptions
 from piegraph_cli.physics.springs import farthest_point_sample
 
 _RATE = 240

@@ -10,7 +10,7 @@ from skimage.measure import marching_cubes
 
 from piegraph_cli.environments.base import REACH
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene
-from piegraph_cli.params import ToyOptions
+from piegraph_cli.environments.params import ToyOptions
 from piegraph_cli.physics.springs import farthest_point_sample
 
 _CELLS = "5 6 2"

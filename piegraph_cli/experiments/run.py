@@ -7,18 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from piegraph_cli.dynamics.params import LEARNED, TrainParams, split_label, trained_label
+from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
 from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.evaluation.trials import Trial
-from piegraph_cli.params import (
-    LEARNED,
-    ExperimentParams,
-    SimulateParams,
-    TrainParams,
-    split_label,
-    trained_label,
-    validated,
-)
+from piegraph_cli.experiments.params import ExperimentParams
+from piegraph_cli.params import validated
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import SegmentParams
 from piegraph_cli.perception.clouds import flying_pixels, world_map
 from piegraph_cli.perception.hand_region import hand_region
+from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.recording.camera import Camera
 
 CELL = 0.005

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import GuidanceParams
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.springs import SpringGraph, stability_bound
 
 CHUNK = 128  # candidates simulated together, so that the arrays of their springs stay in the cache

@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 
 from piegraph_cli.kernels.lanes import KERNEL, Launch, accessors, bandwidth_order, start_warp, vector
-from piegraph_cli.params import GuidanceParams
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import (
     CHECK_EVERY,
     SHORTEST,

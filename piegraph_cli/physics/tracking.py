@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import GuidanceParams, TrackParams
 from piegraph_cli.physics.association import SoftAssignment, align, misfit, thin
+from piegraph_cli.physics.params import GuidanceParams, TrackParams
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.simulation import check_stability
 from piegraph_cli.physics.spring_kernel import drive, guide

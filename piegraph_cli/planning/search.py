@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import torch
 
-from piegraph_cli.params import PlanParams
 from piegraph_cli.planning.costs import Cost
+from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import StrokeSpace
 
 Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]

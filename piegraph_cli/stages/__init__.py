@@ -5,8 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from piegraph_cli import params
+from piegraph_cli.dynamics.params import DatasetParams, TrainParams
+from piegraph_cli.environments.params import SimulateParams
+from piegraph_cli.evaluation.params import EvaluateParams, ScoreParams
 from piegraph_cli.params import Params
+from piegraph_cli.perception.params import FuseParams, HandsParams, SegmentParams
+from piegraph_cli.physics.params import TrackParams
+from piegraph_cli.planning.params import PlanParams, TrialsParams
+from piegraph_cli.recording.params import IngestParams
 
 
 @dataclass(frozen=True)
@@ -32,29 +38,27 @@ class Stage:
 
 
 _TABLE = (
-    Stage("simulate", (), "tracks", "sequence", params.SimulateParams, 1, "simulate:run", "simulate true particles"),
-    Stage("ingest", (), "frames", "sequence", params.IngestParams, 1, "ingest:run", "read and check a recording"),
-    Stage("hands", ("frames",), "hands", "sequence", params.HandsParams, 1, "hands:run", "find the hand in 3-D"),
-    Stage(
-        "segment", ("frames", "hands"), "masks", "sequence", params.SegmentParams, 1, "segment:run", "mask the object"
-    ),
+    Stage("simulate", (), "tracks", "sequence", SimulateParams, 1, "simulate:run", "simulate true particles"),
+    Stage("ingest", (), "frames", "sequence", IngestParams, 1, "ingest:run", "read and check a recording"),
+    Stage("hands", ("frames",), "hands", "sequence", HandsParams, 1, "hands:run", "find the hand in 3-D"),
+    Stage("segment", ("frames", "hands"), "masks", "sequence", SegmentParams, 1, "segment:run", "mask the object"),
     Stage(
         "fuse",
         ("frames", "hands", "masks"),
         "clouds",
         "sequence",
-        params.FuseParams,
+        FuseParams,
         1,
         "fuse:run",
         "fuse the object's cloud",
     ),
-    Stage("track", ("clouds",), "tracks", "sequence", params.TrackParams, 2, "track:run", "track particles"),
+    Stage("track", ("clouds",), "tracks", "sequence", TrackParams, 2, "track:run", "track particles"),
     Stage(
         "score",
         ("frames", "hands", "masks", "clouds", "tracks"),
         "scores",
         "sequence",
-        params.ScoreParams,
+        ScoreParams,
         1,
         "score:run",
         "score a simulated recording against its truth",
@@ -64,30 +68,30 @@ _TABLE = (
         ("tracks",),
         "dataset",
         "run",
-        params.DatasetParams,
+        DatasetParams,
         1,
         "dataset:run",
         "cut strokes, pair frames, split",
     ),
-    Stage("train", ("dataset",), "model", "model", params.TrainParams, 5, "train:run", "train models"),
+    Stage("train", ("dataset",), "model", "model", TrainParams, 5, "train:run", "train models"),
     Stage(
         "evaluate",
         ("dataset", "model"),
         "metrics",
         "model",
-        params.EvaluateParams,
+        EvaluateParams,
         5,
         "evaluate:run",
         "measure predictions on held-out sequences",
         optional=("scores",),
     ),
-    Stage("plan", ("model",), "plan", "run", params.PlanParams, 5, "plan:run", "plan strokes to a goal"),
+    Stage("plan", ("model",), "plan", "run", PlanParams, 5, "plan:run", "plan strokes to a goal"),
     Stage(
         "trials",
         (),
         "trials",
         "trial",
-        params.TrialsParams,
+        TrialsParams,
         4,
         "trials:run",
         "plan in a grid of environments, models, goals and seeds",

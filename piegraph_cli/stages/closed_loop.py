@@ -7,11 +7,13 @@ import numpy as np
 import torch
 
 from piegraph_cli.dynamics.models import make_predict
+from piegraph_cli.dynamics.params import trained_label
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES, PICK, PUSH, PlanParams, trained_label
+from piegraph_cli.params import MODE_NAMES, PICK, PUSH
 from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import Step, run_episode
+from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, plan_strokes
 from piegraph_cli.process import set_up_torch

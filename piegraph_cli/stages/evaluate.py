@@ -10,8 +10,8 @@ from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.metrics import SHAPE_RADIUS, chamfer_distance, particle_distance, shape_error
+from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
-from piegraph_cli.params import ModelEvaluateParams
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages import STAGES

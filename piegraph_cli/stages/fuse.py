@@ -3,8 +3,8 @@
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import FuseParams
 from piegraph_cli.perception.clouds import contact, fuse
+from piegraph_cli.perception.params import FuseParams
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.stages.ingest import cameras_of, depth_of, workspace_of
 from piegraph_cli.workspace.artifact import Artifact

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import HandsParams
 from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
+from piegraph_cli.perception.params import HandsParams
 from piegraph_cli.stages.ingest import cameras_of, color_of, depth_of
 from piegraph_cli.weights import cached_weights
 from piegraph_cli.workspace.artifact import Artifact

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import IngestParams
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.images import ImageStack, join_images
 from piegraph_cli.recording.layout import frame_files, read_cameras, read_color, read_depth, read_times
+from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.recording.timing import align_frames
 from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.execute import Context, Output

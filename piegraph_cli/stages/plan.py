@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES, PlanParams
+from piegraph_cli.params import MODE_NAMES
 from piegraph_cli.physics.tracking import choose_particles
 from piegraph_cli.planning.mpc import Step
+from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
 from piegraph_cli.workspace.artifact import Artifact, read_artifact

@@ -12,7 +12,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import figures, overlays, trial_figures
 from piegraph_cli.evaluation.tables import score_values, summarise
 from piegraph_cli.evaluation.trials import compare_trials
-from piegraph_cli.params import TrialsParams
+from piegraph_cli.planning.params import TrialsParams
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.evaluate import read_metrics

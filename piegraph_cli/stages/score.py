@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from piegraph_cli.evaluation.params import ScoreParams
 from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance, track_errors
-from piegraph_cli.params import ScoreParams
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.execute import Context, Output

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import MissingError, UsageError
-from piegraph_cli.params import SegmentParams
 from piegraph_cli.perception import sam, segmentation
+from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.sam_models import load_sam
 from piegraph_cli.perception.seeds import ObjectSeed, find_object
 from piegraph_cli.recording.images import encode_masks

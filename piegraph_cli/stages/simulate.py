@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from piegraph_cli.params import EnvironmentParams, SimulateParams
+from piegraph_cli.environments.params import EnvironmentParams, SimulateParams
 from piegraph_cli.recording.images import encode_masks
 from piegraph_cli.recording.layout import write_cameras, write_frame, write_times
 from piegraph_cli.workspace.artifact import read_key, write_artifact

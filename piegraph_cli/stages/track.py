@@ -3,7 +3,7 @@
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import TrackParams
+from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.tracking import track
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.workspace.artifact import Artifact

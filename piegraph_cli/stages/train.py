@@ -8,9 +8,10 @@ from torch import nn
 
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.models import MODELS, Trained
+from piegraph_cli.dynamics.params import LEARNED, LearningParams, ModelParams, split_label
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError, MissingError, UsageError
-from piegraph_cli.params import LEARNED, PICK, LearningParams, ModelParams, split_label
+from piegraph_cli.params import PICK
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages.dataset import TRAIN, VALIDATION
 from piegraph_cli.workspace.artifact import Artifact

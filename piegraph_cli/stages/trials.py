@@ -9,7 +9,7 @@ import numpy as np
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
-from piegraph_cli.params import PlanParams, TrialParams, TrialsParams
+from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
 from piegraph_cli.workspace.execute import Context, Output

@@ -5,18 +5,11 @@ So a larger grid keeps what is done: every unit has its own artifact and its own
 
 from pathlib import Path
 
+from piegraph_cli.dynamics.params import ModelParams, TrainParams, trained_label
 from piegraph_cli.environments import check_options
-from piegraph_cli.params import (
-    EvaluateParams,
-    ModelEvaluateParams,
-    ModelParams,
-    PlanParams,
-    TrainParams,
-    TrialParams,
-    TrialsParams,
-    trained_label,
-    validated,
-)
+from piegraph_cli.evaluation.params import EvaluateParams, ModelEvaluateParams
+from piegraph_cli.params import validated
+from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 

@@ -9,18 +9,14 @@ from typing import Any
 
 from filelock import FileLock
 
+from piegraph_cli.dynamics.params import TrainParams
+from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
-from piegraph_cli.params import (
-    EvaluateParams,
-    IngestParams,
-    Params,
-    PlanParams,
-    SimulateParams,
-    TrainParams,
-    TrialParams,
-    TrialsParams,
-)
+from piegraph_cli.evaluation.params import EvaluateParams
+from piegraph_cli.params import Params
+from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.recording.layout import list_sequences
+from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.stages import STAGES, Stage
 from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_header, read_key
 from piegraph_cli.workspace.grid import (

@@ -7,8 +7,8 @@ from piegraph_cli.bench import kernels, pipeline
 from piegraph_cli.bench.measure import Row, table
 from piegraph_cli.bench.run import draw_roofline
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
+from piegraph_cli.dynamics.params import EGNNParams
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import EGNNParams
 from tests.cli import piegraph, piegraph_json
 
 

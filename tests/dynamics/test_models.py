@@ -10,8 +10,8 @@ from piegraph_cli.dynamics import gbnd, pgnd, sms
 from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, move_in_plane, planar_motions
 from piegraph_cli.dynamics.models import MODELS, Trained, make_predict
+from piegraph_cli.dynamics.params import LEARNED, TRAINED_AS, ModelName, PredictionParams, SMSParams, trained_label
 from piegraph_cli.dynamics.training import Trainer
-from piegraph_cli.params import LEARNED, TRAINED_AS, ModelName, PredictionParams, SMSParams, trained_label
 from piegraph_cli.physics import simulation
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.stages.train import make_network

@@ -10,8 +10,8 @@ from typing import get_args
 import numpy as np
 
 from piegraph_cli.environments import ENVIRONMENTS, check_options, make
+from piegraph_cli.environments.params import EnvironmentName
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import EnvironmentName
 from tests.cli import REPOSITORY
 
 

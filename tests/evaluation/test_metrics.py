@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
+from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.evaluation.statistics import bootstrap_mean
 from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance
-from piegraph_cli.params import ModelEvaluateParams
 from piegraph_cli.stages.evaluate import _evaluate_sequence
 
 LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])

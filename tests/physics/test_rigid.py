@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from piegraph_cli.params import GuidanceParams
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.rigid import kabsch, rigid_projection
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs, stability_bound

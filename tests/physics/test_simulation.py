@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import GuidanceParams
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import PushParams, drive, guide, push
 from piegraph_cli.physics.springs import build_springs, stability_bound
 from tests.physics.objects import particles, turned

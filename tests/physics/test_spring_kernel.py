@@ -6,8 +6,8 @@ import torch
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.kernels import lanes
-from piegraph_cli.params import GuidanceParams
 from piegraph_cli.physics import simulation, spring_kernel
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import PushParams
 from piegraph_cli.physics.springs import build_springs
 from tests.physics.objects import particles, turned

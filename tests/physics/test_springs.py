@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import GuidanceParams
+from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import drive
 from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
 from tests.physics.objects import particles

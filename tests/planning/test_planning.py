@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import PICK, PUSH, PlanParams
+from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
+from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import INFEASIBLE, plan_strokes
 

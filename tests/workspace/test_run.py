@@ -8,8 +8,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from piegraph_cli.dynamics.params import ModelName
+from piegraph_cli.environments.params import EnvironmentName
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import EnvironmentName, ModelName
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage, run_unit, status

@@ -1,0 +1,218 @@
+"""Settings of the dataset, of every model that is trained, and of predictions; and the names of models."""
+
+import re
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny
+
+from piegraph_cli.errors import UsageError
+from piegraph_cli.params import Params, split_commas, validated
+from piegraph_cli.physics.params import GuidanceParams
+
+ModelName = Literal[
+    "piegraph",
+    "piegraph-ng",
+    "kabsch",
+    "egnn-g",
+    "gnn",
+    "gnn-aug",
+    "sms-no",
+    "sms-o",
+    "pgnd",
+    "gbnd",
+    "static",
+]
+TRAINED_AS = {"piegraph-ng": "piegraph", "kabsch": "piegraph", "static": None, "sms-no": None, "greedy": None}
+"""Whose weights a model uses that has none of its own."""
+
+
+def split_label(label: str) -> tuple[str, str, int | None]:
+    """Model, variant of its settings and number of training sequences of `pgnd:fine@20`; "" and None where not given."""
+    model, _, count = label.partition("@")
+    name, _, variant = model.partition(":")
+    return name, variant, int(count) if count else None
+
+
+def trained_label(label: str) -> str | None:
+    """What must be trained for a model: `piegraph@20` for `piegraph-ng@20`; None where nothing is."""
+    name = re.split("[:@]", label, maxsplit=1)[0]
+    own = TRAINED_AS.get(name, name)
+    return None if own is None else own + label[len(name) :]
+
+
+_LABEL = re.compile(r"([a-z-]+)(:[a-z0-9_-]+)?(@[1-9][0-9]*)?")
+
+
+def _check_label(label: str) -> str:
+    parts = _LABEL.fullmatch(label)
+    if parts is None:
+        raise ValueError(f"{label!r} is no model: give NAME, NAME@SEQUENCES or NAME:VARIANT@SEQUENCES")
+    if parts[1] not in get_args(ModelName):
+        raise ValueError(f"no model {parts[1]}: {', '.join(get_args(ModelName))}")
+    if trained_label(parts[1]) is None and parts[1] != label:
+        raise ValueError(f"{label}: {parts[1]} is not trained, so it has no variants and learns from no sequences")
+    return label
+
+
+def _check_trainable(label: str) -> str:
+    own = trained_label(_check_label(label))
+    if own is None:
+        raise ValueError(f"{label} is not trained")
+    return own
+
+
+Label = Annotated[str, AfterValidator(_check_label)]
+"""A model by name; after : a variant of its settings (`train.variants`), after @ how many sequences it learns from."""
+Labels = Annotated[tuple[Label, ...], BeforeValidator(split_commas), Field(min_length=1)]
+
+
+class DatasetParams(Params):
+    """Settings of `dataset`."""
+
+    train: int = Field(10, ge=1, description="sequences to train on")
+    validation: int = Field(0, ge=0, description="sequences to choose the checkpoint on (0: the last one is kept)")
+    min_gap: int = Field(2, ge=1, description="fewest frames between the two frames of a training pair")
+    min_stroke: float = Field(0.01, ge=0.001, description="shortest stroke that is kept [m]")
+    seed: int = Field(0, ge=0, description="seed of the split")
+
+
+class LearningParams(Params):
+    """How any model is trained."""
+
+    learning_rate: float = Field(2e-3, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(1e-4, ge=0, description="AdamW weight decay")
+    clip: float = Field(1.0, gt=0, description="largest gradient norm")
+    batch: int = Field(8, ge=1, description="training examples per step")
+    steps: int = Field(2600, ge=1, description="training steps")
+
+
+class GraphParams(LearningParams):
+    """Settings of the graph networks that predict a stroke at once."""
+
+    neighbors: int = Field(12, ge=1, description="neighbours of a particle in the graph")
+    hidden: int = Field(32, ge=1, description="width of the network")
+    layers: int = Field(4, ge=1, description="message-passing layers")
+    pool: bool = Field(True, description="mix the mean over all particles into each layer")
+    shape_weight: float = Field(0.1, ge=0, description="weight of the shape loss")
+    mirror: bool = Field(False, description="mirror half of the pairs: right where the mirror image moves alike")
+
+
+class EGNNParams(GraphParams):
+    """Settings of piegraph's network."""
+
+    mirror: bool = Field(True, description="equivariant to reflection: wrong where left and right differ unseen")
+    action_head: bool = Field(True, description="add a displacement in the stroke's frame")
+
+
+class SMSParams(LearningParams):
+    """The springs and the pusher of a spring-mass system alone, and how they are optimised."""
+
+    learning_rate: float = Field(0.05, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
+    batch: int = Field(2, ge=1, description="training sequences per step")
+    steps: int = Field(120, ge=1, description="training steps")
+    radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
+    stride: float = Field(1e-3, gt=0, description="the hand's motion per iteration [m]")
+    settle: int = Field(20, ge=0, description="iterations after the hand has stopped")
+    stiffness: float = Field(0.15, gt=0, description="spring stiffness k dt^2/m at the start")
+    damping: float = Field(0.8, gt=0, lt=1, description="velocity kept per iteration at the start")
+    friction: float = Field(0.5, gt=0, description="Coulomb coefficient of the table at the start")
+    gravity: float = Field(1e-4, gt=0, description="g dt^2 at the start [m]")
+    reach: float = Field(0.015, gt=0, description="distance that the pusher keeps particles away, at the start [m]")
+    tension_only: bool = Field(False, description="springs pull but never push, as in cloth")
+
+
+class StepParams(LearningParams):
+    """Settings of the models that predict frame by frame."""
+
+    rollout: int = Field(3, ge=1, description="frames predicted in a row in training")
+    noise: float = Field(0.002, ge=0, description="noise on the particles in training [m]")
+    turn: bool = Field(True, description="turn every training example about the vertical by a random angle")
+
+
+class PGNDParams(StepParams):
+    """Settings of Particle-Grid Neural Dynamics."""
+
+    learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
+    clip: float = Field(0.1, gt=0, description="largest gradient norm")
+    steps: int = Field(2000, ge=1, description="training steps")
+    rollout: int = Field(5, ge=1, description="frames predicted in a row in training")
+    noise: float = Field(0.0, ge=0, description="noise on the particles in training [m]")
+    cell: float = Field(0.02, gt=0, description="edge of a grid cell [m]")
+    reach: float = Field(0.2, gt=0, description="particles within this of a node give its feature [m]")
+    gripper: float = Field(0.04, gt=0, description="nodes within this of the hand take its velocity [m]")
+
+
+class GBNDParams(StepParams):
+    """Settings of graph-based neural dynamics with a tool node."""
+
+    learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
+    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
+    steps: int = Field(1500, ge=1, description="training steps")
+    hidden: int = Field(150, ge=1, description="width of the network")
+    neighbors: int = Field(5, ge=1, description="neighbours of a particle in the graph")
+    radius: float = Field(0.075, gt=0, description="particles further apart than this are no neighbours [m]")
+    edge_weight: float = Field(0.05, ge=0, description="weight of the loss on edge lengths")
+
+
+class TrainParams(Params):
+    """Settings of `train`: which models, from which seeds, and a table of settings for each."""
+
+    models: Annotated[tuple[Annotated[str, AfterValidator(_check_trainable)], ...], BeforeValidator(split_commas)] = (
+        Field(
+            ("piegraph",),
+            min_length=1,
+            description="models to train, by name; pgnd@20: on 20 of the training sequences",
+        )
+    )
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(split_commas)] = Field(
+        (0,), min_length=1, description="seeds of weights, batches and choice of sequences; each trains every model"
+    )
+    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
+    tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
+    piegraph: EGNNParams = Field(EGNNParams(), description="its settings")
+    egnn_g: GraphParams = Field(GraphParams(), alias="egnn-g", description="its settings")
+    gnn: GraphParams = Field(GraphParams(), description="its settings")
+    gnn_aug: GraphParams = Field(GraphParams(), alias="gnn-aug", description="its settings")
+    sms_o: SMSParams = Field(SMSParams(), alias="sms-o", description="its settings")
+    pgnd: PGNDParams = Field(PGNDParams(), description="its settings")
+    gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
+    variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
+
+    def of(self, label: str) -> LearningParams:
+        """The settings of one model. Raises `UsageError` for a variant that is not declared or does not fit the model."""
+        name, variant, _ = split_label(label)
+        settings: LearningParams = getattr(self, name.replace("-", "_"))
+        if not variant:
+            return settings
+        key = f"{name}:{variant}"
+        if key not in self.variants:
+            raise UsageError(f"no variant {key}", "train.variants", f'a section [train.variants."{key}"] in the recipe')
+        return validated(
+            type(settings), settings.model_dump() | self.variants[key], f"train.variants.{key}", "recipe", ""
+        )
+
+
+LEARNED: dict[str, type[LearningParams]] = {
+    name.replace("_", "-"): type(field.default)
+    for name, field in TrainParams.model_fields.items()
+    if isinstance(field.default, LearningParams)
+}
+"""What can be trained, by name, with its settings."""
+
+
+class ModelParams(Params):
+    """Everything that one trained model depends on."""
+
+    label: str = Field(description="model; after : a variant, after @ the number of training sequences")
+    seed: int = Field(ge=0, description="seed of weights, batches and choice of sequences")
+    settings: SerializeAsAny[LearningParams] = Field(description="settings of the model")
+    checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
+    tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
+
+
+class PredictionParams(GuidanceParams):
+    """What a prediction by name needs: the springs' reach beside the guidance."""
+
+    spring_radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")

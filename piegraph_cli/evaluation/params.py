@@ -1,0 +1,24 @@
+"""Settings of `score` and `evaluate`."""
+
+from pydantic import Field
+
+from piegraph_cli.dynamics.params import Labels, PredictionParams
+from piegraph_cli.params import Counts, Params
+
+
+class ScoreParams(Params):
+    """Settings of `score`: none."""
+
+
+class EvaluateParams(PredictionParams):
+    """Settings of `evaluate`."""
+
+    models: Labels = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
+    horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
+
+
+class ModelEvaluateParams(PredictionParams):
+    """Everything that the evaluation of one model depends on, beside what it learned."""
+
+    label: str = Field(description="model; after : a variant, after @ the number of training sequences")
+    horizons: Counts = Field(description="strokes predicted in a row")

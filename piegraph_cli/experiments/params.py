@@ -1,0 +1,71 @@
+"""Settings of experiments: which runs, which models, and the table they end in."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from piegraph_cli.dynamics.params import Labels, trained_label
+from piegraph_cli.environments.params import EnvironmentName
+from piegraph_cli.params import Counts, Params, Thresholds
+from piegraph_cli.planning.params import TrialLabels
+
+
+class ExperimentTrials(Params):
+    """The planning of an experiment."""
+
+    models: TrialLabels = Field(description="models that plan, by name")
+    goals: int = Field(ge=1, description="goals per environment")
+    seeds: int = Field(ge=1, description="starts per goal")
+    strokes: int = Field(ge=1, description="most strokes in one trial")
+    thresholds: Thresholds = Field((0.02, 0.03, 0.05, 0.1), description="distances that count as success [m]")
+    plan: dict[str, Any] = Field({}, description="settings of `plan` in place of the recipes'")
+
+
+class ExperimentParams(Params):
+    """An experiment: runs of the shipped recipes of some environments, and the table that they end in."""
+
+    title: str = Field(description="what it shows")
+    table: Literal["dynamics", "guidance", "interactions", "search"] = Field(description="the table it ends in")
+    interactions: dict[EnvironmentName, Counts] = Field(description="training sequences, by environment", min_length=1)
+    models: Labels = Field(description="models to compare, by name")
+    variants: dict[str, dict[str, Any]] = Field({}, description="as `train.variants`")
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = Field(
+        (0, 1, 2), description="seeds of training"
+    )
+    training: int = Field(100, ge=1, description="simulated sequences that training ones are chosen from")
+    validation: int = Field(10, ge=0, description="sequences that the best weights are chosen on")
+    test: int = Field(100, ge=1, description="held-out sequences")
+    strokes: int = Field(4, ge=1, description="strokes per sequence")
+    horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
+    recordings: bool = Field(
+        False, description="render recordings and see them through the pipeline, or true particles"
+    )
+    steps: float = Field(1.0, gt=0, description="share of the recipes' training steps")
+    trials: ExperimentTrials | None = Field(None, description="planning with the trained models")
+    paper: dict[str, dict[str, tuple[float, ...]]] = Field(
+        {}, description="the paper's figures, by environment and row"
+    )
+
+    @model_validator(mode="after")
+    def _check_counts(self) -> "ExperimentParams":
+        most = max(n for counts in self.interactions.values() for n in counts)
+        if most > self.training:
+            raise ValueError(f"{most} interactions cannot be chosen of {self.training} training sequences")
+        return self
+
+    def labels(self, environment: str) -> list[str]:
+        """The models to compare in an environment, each with its number of training sequences."""
+        counts = self.interactions[environment]  # type: ignore[index]
+        return [_on(model, count) for count in counts for model in self.models if trained_label(model)] + [
+            model for model in self.models if not trained_label(model)
+        ]
+
+    def trial_labels(self, environment: str) -> list[str]:
+        """The models that plan in an environment."""
+        assert self.trials is not None
+        counts = self.interactions[environment]  # type: ignore[index]
+        return list(dict.fromkeys(_on(model, n) for n in counts for model in self.trials.models))
+
+
+def _on(model: str, count: int) -> str:
+    return f"{model}@{count}" if trained_label(model) else model

@@ -1,0 +1,39 @@
+"""Settings of `hands`, `segment` and `fuse`."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from piegraph_cli.params import Params
+
+
+class HandsParams(Params):
+    """Settings of `hands`."""
+
+    hand_model: Path | None = Field(None, description="hand_landmarker.task file (default: the fetched one)")
+    max_gap: float = Field(0.5, ge=0, description="longest gap in the hand's path that is filled [s]")
+
+
+class SegmentParams(Params):
+    """Settings of `segment`."""
+
+    segmenter: Literal["grabcut", "sam"] = Field("grabcut", description="how the object's mask is found")
+    min_height: float = Field(0.006, gt=0, description="height above the table from which depth tells the object [m]")
+    min_contrast: float = Field(
+        0.25, gt=0, description="colour difference from the table that tells the object [log ratio]"
+    )
+    min_area: float = Field(4e-4, gt=0, description="smallest object, as table area covered [m2]")
+    sam_checkpoint: Path | None = Field(None, description="weights for --segmenter sam")
+    sam_model: Literal["vit_h", "vit_l", "vit_b", "tiny"] = Field("vit_b", description="SAM model of the checkpoint")
+    sam_every: int = Field(10, ge=1, description="frames between SAM key frames; masks are propagated between them")
+    prompts: dict[str, tuple[float, float, float, float]] = Field(
+        {}, description="box x0,y0,x1,y1 [px] in the first frame, per camera; automatic where not given"
+    )
+
+
+class FuseParams(Params):
+    """Settings of `fuse`."""
+
+    voxel_size: float = Field(0.004, gt=0, description="edge of the voxel grid the cloud is thinned on [m]")
+    contact_radius: float = Field(0.03, gt=0, description="hand and object closer than this touch [m]")

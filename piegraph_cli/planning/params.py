@@ -1,0 +1,108 @@
+"""Settings of `plan` and `trials`."""
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from piegraph_cli.dynamics.params import Label, PredictionParams
+from piegraph_cli.environments.params import EnvironmentName, EnvironmentParams, Environments, EnvironmentSettings
+from piegraph_cli.params import Box, Modes, Params, Pose2, Thresholds, split_commas
+
+TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
+
+
+class PlanParams(PredictionParams, EnvironmentParams):
+    """Settings of `plan`."""
+
+    query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose")
+    """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
+
+    env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
+    state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
+    goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
+    goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
+    model: Label = Field("piegraph", description="model that predicts, by name")
+    cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
+        "auto",
+        description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
+    )
+    modes: Modes = Field((), description="kinds of strokes: push, pick (default: what model and environment both know)")
+    planner: Literal["cem", "mppi", "greedy"] = Field(
+        "cem", description="cross-entropy method, path integrals, or picking the worst particle without a model"
+    )
+    horizon: int = Field(1, ge=1, description="strokes planned ahead")
+    samples: int = Field(100, ge=4, description="candidates per iteration")
+    cem_iterations: int = Field(5, ge=1, description="iterations of the planner")
+    converged: float = Field(2e-4, ge=0, description="CEM ends when its elites' costs lie within this [m]")
+    elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites of CEM")
+    temperature: float = Field(0.005, gt=0, description="cost that MPPI finds much [m]")
+    noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")
+    strokes: int = Field(13, ge=1, description="most strokes in one episode")
+    state_noise: float = Field(
+        0.0, ge=0, description="noise on the particles that the planner sees in --env, to test it [m]"
+    )
+    success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
+    episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
+    min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
+    max_length: float = Field(0.14, gt=0, description="longest push [m]")
+    max_carry: float = Field(0.3, gt=0, description="furthest that a pick carries along x and along y [m]")
+    pusher_radius: float = Field(0.01, gt=0, description="radius of the robot's pusher [m]")
+    margin: float = Field(0.002, ge=0, description="how far the object reaches beyond its particles [m]")
+    workspace: Box = Field(
+        (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"
+    )
+    seed: int = Field(0, ge=0, description="seed of starts, goals and candidates")
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> "PlanParams":
+        if self.min_length >= self.max_length:
+            raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
+        return self
+
+    def goal_file(self) -> tuple[Path, int | None]:
+        """The goal's file and frame, from FILE or FILE:FRAME."""
+        assert self.goal is not None
+        file, colon, frame = self.goal.rpartition(":")
+        return (Path(file), int(frame)) if colon and frame.lstrip("-").isdigit() else (Path(self.goal), None)
+
+    def files(self) -> dict[str, Path]:
+        """As for all settings, and the goal's file."""
+        return super().files() | ({"goal": self.goal_file()[0]} if self.goal else {})
+
+
+class TrialsParams(EnvironmentParams):
+    """Settings of `trials`: the grid environments x models x goals x seeds of the paper's planning experiment."""
+
+    envs: Environments = Field(
+        ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description="simulated environments, by name"
+    )
+    models: TrialLabels = Field(
+        ("piegraph", "piegraph-ng", "static"), description="models to compare, by name; greedy: picks without a model"
+    )
+    goals: int = Field(10, ge=1, description="goals per environment")
+    seeds: int = Field(10, ge=1, description="starts per goal")
+    strokes: int = Field(30, ge=1, description="most strokes in one trial")
+    thresholds: Thresholds = Field(
+        (0.02, 0.03, 0.05, 0.1), description="distances that count as success; the smallest one ends a trial [m]"
+    )
+    trained: Path | None = Field(
+        None, description="folder with a trained run per environment, by its name (default: the one the run lies in)"
+    )
+    options: EnvironmentSettings = Field(
+        {}, description="options of the environments: ENV.NAME=VALUE,... (docs/environments.md)"
+    )
+    plan: dict[str, Any] = Field({}, description="settings of `plan` in place of those of the trained runs")
+
+
+class TrialParams(Params):
+    """Everything one trial depends on."""
+
+    goal: int = Field(ge=0, description="number of the goal")
+    seed: int = Field(ge=0, description="number of the start")
+    network: Path | None = Field(description="model artifact of the trained run; None where nothing is trained")
+    plan: PlanParams = Field(description="planning settings in force, with environment, model, strokes and success")
+
+    def files(self) -> dict[str, Path]:
+        """None: the network counts by the key of its artifact, and may be missing."""
+        return {}

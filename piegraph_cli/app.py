@@ -25,7 +25,8 @@ from piegraph_cli.dynamics.params import LEARNED, TrainParams, split_label, trai
 from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import PiegraphError, UsageError
 from piegraph_cli.params import Params
-from piegraph_cli.stages import STAGES, Stage
+from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.workspace.stage import Stage
 
 app = typer.Typer(
     help="Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned.",
@@ -80,14 +81,14 @@ def _summary(outcomes: list, folder: Path) -> _Report:
         of_stage = [o for o in outcomes if o.stage == name and not o.error]
         if len(of_stage) > FEW:
             cached = sum(o.state == "cached" for o in of_stage)
-            units = {"trial": "trials", "model": "models"}.get(STAGES[name].per, "sequences")
+            units = f"{STAGES[name].unit}s"
             lines.append(
                 f"{name:24s} {len(of_stage)} {units}, {cached} of them fresh already; last: {of_stage[-1].quality}"
             )
         else:
-            lines += [f"{name} {o.sequence or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
+            lines += [f"{name} {o.unit or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
     if failed:
-        lines.append("failed: " + ", ".join(f"{o.stage} {o.sequence}" if o.sequence else o.stage for o in failed))
+        lines.append("failed: " + ", ".join(f"{o.stage} {o.unit}" if o.unit else o.stage for o in failed))
     value = {
         "run": str(folder),
         "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes],
@@ -141,19 +142,18 @@ def _stage_command(stage: Stage) -> Callable[..., None]:
     """
 
     def command(run: Path, force: bool, jobs: int, backend: str, device: str, as_json: bool, **values: Any) -> None:
-        from piegraph_cli.workspace.execute import LEFT_OUT, Options, run_stage
-        from piegraph_cli.workspace.run import Run
+        from piegraph_cli.workspace.execute import LeftOut, Options, run_stage
 
         given = {name: value for name, value in values.items() if value is not None}
-        opened = Run.open(run)
+        opened = open_run(run)
         opened.recipe = opened.recipe.with_values(stage, given, f"piegraph {stage.name}", Path.cwd())
         if stage.reads:
             _require_run(run)
-        options = Options((), force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
+        options = Options((), force, jobs, backend, device)  # type: ignore[arg-type]
         with _logging_to(run):
-            outcomes = run_stage(run, stage, options)
+            outcomes = run_stage(opened, stage, options)
             for outcome in outcomes:
-                if outcome.error and outcome.error.message.startswith(LEFT_OUT):
+                if isinstance(outcome.error, LeftOut):
                     logging.getLogger("piegraph").error("%s", outcome.error)
             if stage.name != "plan" and any(not o.error for o in outcomes):
                 opened.save_recipe()
@@ -215,15 +215,15 @@ def _described(stage: Stage, folder: Path) -> _Report:
         return _Report(*describe(read_artifact(folder / "plan.h5", "plan")))
     from piegraph_cli.stages.evaluate import describe as describe_metrics
 
-    return _Report(*describe_metrics(folder))
+    return _Report(*describe_metrics(open_run(folder)))
 
 
 def _with_trials(report: _Report, folder: Path) -> _Report:
     """What `trials` prints: the summary of all that are done, and which ones failed."""
     from piegraph_cli.stages.trials import describe
 
-    value, lines = describe(folder)
-    failed = [{"trial": o["sequence"], "error": o["error"]} for o in report.value["outcomes"] if o["error"]]
+    value, lines = describe(open_run(folder))
+    failed = [{"trial": o["unit"], "error": o["error"]} for o in report.value["outcomes"] if o["error"]]
     if failed:
         lines += ["", f"failed: {', '.join(f['trial'] for f in failed)}"]
     return _Report(value | {"failed": failed}, lines, report.exit_code)
@@ -251,23 +251,22 @@ def run(
     """Run a recipe's stages that are not fresh."""
     from piegraph_cli.workspace.execute import Options, run_chain
     from piegraph_cli.workspace.recipe import find_recipe, load_recipe, parse_setting
-    from piegraph_cli.workspace.run import Run
 
     if recipe is None and (run is None or not (run / "recipe.toml").exists()):
         raise UsageError("no recipe given", hint="piegraph run RECIPE, or --run with a folder that has a recipe.toml")
     folder = run or Path("runs") / Path(str(recipe)).stem
-    opened = Run.open(folder)
+    opened = open_run(folder)
     if recipe is not None:
-        opened.recipe = load_recipe(find_recipe(recipe))
+        opened.recipe = load_recipe(find_recipe(recipe), STAGES)
     for text in set or []:
-        stage, setting, value = parse_setting(text)
+        stage, setting, value = parse_setting(text, STAGES)
         opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}", Path.cwd())
     names = [stage.name for stage in opened.recipe.chain()]
     if until is not None and until not in names:
         raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
     with _logging_to(folder):
         opened.save_recipe()
-        outcomes = run_chain(folder, until, Options((), force, jobs, backend, device))
+        outcomes = run_chain(opened, until, Options((), force, jobs, backend, device))
     _emit(_summary(outcomes, folder), as_json)
 
 
@@ -277,12 +276,12 @@ def status(run: RunFolder, as_json: AsJson = False) -> None:
     from piegraph_cli.workspace.execute import status as rows_of
 
     _require_run(run)
-    rows = rows_of(run)
-    width = max(16, *(len(r["sequence"] or "") for r in rows))
-    lines = [f"{'stage':10s} {'sequence':{width}s} {'state':8s} quality"]
+    rows = rows_of(open_run(run))
+    width = max(16, *(len(r["unit"] or "") for r in rows))
+    lines = [f"{'stage':10s} {'unit':{width}s} {'state':8s} quality"]
     for r in rows:
         why = (r["quality"] or r["failure"] or r["reason"]).replace("\n ", ";")
-        lines.append(f"{r['stage']:10s} {r['sequence'] or '-':{width}s} {r['state']:8s} {why}")
+        lines.append(f"{r['stage']:10s} {r['unit'] or '-':{width}s} {r['state']:8s} {why}")
     _emit(_Report({"run": str(run), "artifacts": rows}, lines), as_json)
 
 
@@ -304,12 +303,11 @@ def _simulate(
     """
     from piegraph_cli.stages.simulate import record_sequences
     from piegraph_cli.workspace.execute import Options, run_stage
-    from piegraph_cli.workspace.run import Run
 
     stage = STAGES["simulate"]
     folder = out or Path("recordings" if render else "runs") / environment
     given = {name: value for name, value in values.items() if value is not None} | {"environment": environment}
-    recipe = Run.open(folder).recipe.with_values(stage, given, "piegraph simulate", Path.cwd())
+    recipe = open_run(folder).recipe.with_values(stage, given, "piegraph simulate", Path.cwd())
     if render:
         settings = recipe.params(stage)
         assert isinstance(settings, SimulateParams)
@@ -317,9 +315,9 @@ def _simulate(
         _emit(_Report({"recording": str(folder), "sequences": made}, [f"{folder}: {len(made)} sequences"]), as_json)
         return
     with _logging_to(folder):
-        Run(folder, recipe).save_recipe()
+        open_run(folder, recipe).save_recipe()
         begin = time.monotonic()
-        outcomes = run_stage(folder, stage, Options((), force, jobs, backend))
+        outcomes = run_stage(open_run(folder, recipe), stage, Options((), force, jobs, backend))
         seconds = time.monotonic() - begin
     report = _summary(outcomes, folder)
     fresh = sum(o.state == "done" for o in outcomes)
@@ -361,11 +359,10 @@ def _train(
 
     Other options are settings of --model (piegraph where it is left out); those that it does not have are refused.
     """
+    from piegraph_cli.stages.train import model_name
     from piegraph_cli.workspace.execute import Options, run_stage
-    from piegraph_cli.workspace.grid import model_name
-    from piegraph_cli.workspace.run import Run
 
-    stage, opened = STAGES["train"], Run.open(run)
+    stage, opened = STAGES["train"], open_run(run)
     given = {name: value for name, value in values.items() if value is not None}
     section: dict[str, Any] = {n: given.pop(n) for n in OF_TRAINING if n in given}
     kept = opened.recipe.sections.get("train", {})
@@ -386,8 +383,8 @@ def _train(
         models = {"models": list(dict.fromkeys(params.models))}
         opened.recipe = opened.recipe.with_values(stage, models, "piegraph train", Path.cwd())
     with _logging_to(run):
-        options = Options(only, force, jobs, backend, device, opened.recipe)  # type: ignore[arg-type]
-        outcomes = run_stage(run, stage, options)
+        options = Options(only, force, jobs, backend, device)  # type: ignore[arg-type]
+        outcomes = run_stage(opened, stage, options)
         if any(not o.error for o in outcomes):
             opened.save_recipe()
         report = _summary(outcomes, run)
@@ -420,7 +417,7 @@ app.command("train")(_train)
 @app.command()
 def report(run: RunFolder, as_json: AsJson = False) -> None:
     """Draw a run's pictures into RUN/report."""
-    from piegraph_cli.stages.report import draw_report
+    from piegraph_cli.report.draw import draw_report
 
     _require_run(run)
     with _logging_to(run):
@@ -488,7 +485,7 @@ def calibrate(
     The board lies on the table; its middle becomes the origin of the world, z up. Fills T_world_camera in cameras.json.
     """
     from piegraph_cli.recording.calibration import Board
-    from piegraph_cli.stages.calibrate import calibrate as locate
+    from piegraph_cli.recording.locate import calibrate as locate
 
     results = locate(recording, sequence, Board(columns, rows, square, marker, dictionary))
     lines = [
@@ -507,7 +504,7 @@ def view(
 
     Serves on 127.0.0.1 only, until interrupted.
     """
-    from piegraph_cli.stages.view import serve
+    from piegraph_cli.viewer.serve import serve
 
     serve(run, sequence, port)
 

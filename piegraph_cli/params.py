@@ -48,9 +48,17 @@ class Params(BaseModel):
     query: ClassVar[tuple[str, ...]] = ()
     """Settings that belong together: giving one forgets the others."""
 
+    def content(self) -> dict[str, Any]:
+        """What results depend on, as plain values: these settings without what only says how results are come by."""
+        return self.model_dump(mode="json")
+
     def files(self) -> dict[str, Path]:
         """Files and folders these settings name; their content, not their path, enters the cache key."""
         return {name: value for name, value in self if isinstance(value, Path)}
+
+    def artifacts(self) -> dict[str, tuple[Path, str]]:
+        """Artifacts of other runs that these settings name: path and what it is; their keys enter the cache key."""
+        return {}
 
 
 Settings = TypeVar("Settings", bound=Params)

@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Iterator
 
+from piegraph_cli.errors import MissingError
+
 
 def set_up_torch() -> None:
     """One thread, since the arrays are small; and freed memory stays with the process.
@@ -22,6 +24,17 @@ def set_up_torch() -> None:
             mallopt = ctypes.CDLL(None).mallopt
             mallopt(trim_threshold, 2**31 - 1)
             mallopt(mmap_threshold, 2**25)  # the most that glibc accepts
+
+
+def choose_device(name: str) -> str:
+    """`cuda` or `cpu` from `auto`, `cuda` or `cpu`. Raises `MissingError` for an absent GPU."""
+    import torch
+
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        raise MissingError("no CUDA device", hint="use --device cpu")
+    return name
 
 
 @contextlib.contextmanager

@@ -98,7 +98,7 @@ def test_a_further_model_is_trained_beside_the_others(tiny_run, tmp_path):
     shutil.copytree(tiny_run, folder)
     command = ("train", "--run", folder, "--model", "gnn@1", "--seed", "0,3", "--steps", "5", "--hidden", "8")
     assert [o["sequence"] for o in piegraph_json(*command)["outcomes"]] == ["gnn@1.seed0", "gnn@1.seed3"]
-    states = {r["sequence"]: r["state"] for r in piegraph_json("status", "--run", folder)["artifacts"]}
+    states = {r["unit"]: r["state"] for r in piegraph_json("status", "--run", folder)["artifacts"]}
     assert states["piegraph.seed0"] == states["gnn@1.seed3"] == "fresh"
     assert states["piegraph.seed3"] == "missing"
     found = piegraph_json("evaluate", "--run", folder, "--models", "gnn@1,static,sms-no")["rows"]
@@ -207,7 +207,7 @@ def test_status_says_why_something_is_stale(tiny_run, tmp_path):
     shutil.copytree(tiny_run, folder)
     piegraph("train", "--run", folder, "--steps", "39")
     (folder / "tracks" / "sequence_0001.h5").write_bytes(b"cut")
-    rows = {(r["stage"], r["sequence"]): r for r in piegraph_json("status", "--run", folder)["artifacts"]}
+    rows = {(r["stage"], r["unit"]): r for r in piegraph_json("status", "--run", folder)["artifacts"]}
     assert "not a readable HDF5 file" in rows["simulate", "sequence_0001"]["reason"]
     assert "what it was made from has changed" in rows["evaluate", "piegraph.seed0"]["reason"]
     piegraph("train", "--run", folder, "--batch", "4", "--steps", "0", check=2)

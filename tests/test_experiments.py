@@ -13,7 +13,7 @@ from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.experiments.run import load_experiment, names, recipe_of, trial_recipe
 from piegraph_cli.planning.params import TrialsParams
 from piegraph_cli.stages import STAGES
-from piegraph_cli.workspace.grid import evaluated_names, trained_name, trained_names
+from piegraph_cli.stages.train import model_names, trained_name
 from tests.cli import REPOSITORY, piegraph, piegraph_json
 
 
@@ -31,8 +31,8 @@ def test_recipes_train_what_they_evaluate_and_plan_with(name, quick, tmp_path):
         recipe = recipe_of(params, environment, None)
         train, evaluate = (recipe.params(STAGES[stage]) for stage in ("train", "evaluate"))
         assert isinstance(train, TrainParams)
-        trained = set(trained_names(train))
-        assert {own for unit in evaluated_names(evaluate, train) if (own := trained_name(unit))} <= trained
+        trained = set(model_names(train.models, train))
+        assert {own for unit in model_names(evaluate.models, train) if (own := trained_name(unit))} <= trained
         assert all(train.of(label) for label in train.models)
         if params.trials:
             trials = trial_recipe(params, environment, tmp_path).params(STAGES["trials"])

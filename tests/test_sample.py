@@ -9,7 +9,7 @@ import pytest
 
 from piegraph_cli.evaluation.truth import mask_iou
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from tests.cli import REPOSITORY, SAMPLE, piegraph, piegraph_json
 
@@ -47,7 +47,7 @@ def measured(sample_run: Path) -> dict[str, dict]:
     found = {}
     for name in RECORDED:
         stage = STAGES[name]
-        path = sample_run / f"{stage.writes}.h5" if stage.per == "run" else sample_run / stage.writes / f"{sequence}.h5"
+        path = open_run(sample_run).path(stage.writes, None if stage.unit == "run" else sequence)
         found[name] = {"version": stage.version, "datasets": summary(read_artifact(path, stage.writes))}
     return found
 

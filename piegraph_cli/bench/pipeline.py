@@ -12,7 +12,7 @@ from piegraph_cli.bench.kernels import network_flop, random_object, random_strok
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.models import MODELS, Predict, Trained, make_predict
+from piegraph_cli.dynamics.models import MODELS, Predict, Trained, make_network, make_predict
 from piegraph_cli.dynamics.params import LEARNED, EGNNParams, LearningParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import UsageError
@@ -23,13 +23,12 @@ from piegraph_cli.physics.tracking import track
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.search import plan_strokes
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.stages.closed_loop import stroke_space
 from piegraph_cli.stages.simulate import make_environment
-from piegraph_cli.stages.train import make_network
 from piegraph_cli.workspace.artifact import read_artifact
-from piegraph_cli.workspace.execute import Checkpoint, Context
-from piegraph_cli.workspace.run import Run
+from piegraph_cli.workspace.execute import Checkpoint
+from piegraph_cli.workspace.stage import Context
 
 AT_REST = 1e-3
 """Metres. The springs of a plan stop when all of their group are at rest, and groups differ from the reference's."""
@@ -182,8 +181,8 @@ def _carried_sequences() -> Sequences:
 def perception_rows(folder: Path | None) -> Iterator[Row]:
     """A frame of all cameras through the stages of a run's first sequence, whose results must come out again."""
     assert folder is not None
-    run = Run.open(folder)
-    names = run.sequences
+    run = open_run(folder)
+    names = sequences(run)
     for name in ("hands", "segment", "fuse", "track"):
         stage = STAGES[name]
         if not names or not run.path(stage.writes, names[0]).is_file():
@@ -191,9 +190,9 @@ def perception_rows(folder: Path | None) -> Iterator[Row]:
                 f"{folder} has no {stage.writes} to compare with", "bench perception", f"piegraph run --run {folder}"
             )
         inputs = {read: read_artifact(run.path(read, names[0]), read) for read in stage.reads}
-        context = Context(run, names[0], "cpu", Checkpoint(run.checkpoint(stage, names[0]), ""), True)
+        context = Context(run, names[0], "cpu", Checkpoint(run.checkpoint(stage, names[0]), stage, ""), True)
         begin = time.perf_counter()
-        output = stage.load()(inputs, run.params(stage, names[0]), context)
+        output = stage.load()(inputs, run.settings(stage, names[0]), context)
         seconds = time.perf_counter() - begin
         stored = read_artifact(run.path(stage.writes, names[0]), stage.writes)
         same = all(np.allclose(stored[k], v, 1e-3, 1e-4, equal_nan=True) for k, v in output.arrays.items())

@@ -229,3 +229,11 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
         return correct(positions, setpoint) if correct else setpoint
 
     return predict
+
+
+def make_network(name: str, settings: LearningParams, picks: bool, seed: int) -> nn.Module:
+    """A network with fresh weights, drawn from the seed; `picks` where the data has picks."""
+    torch.manual_seed(seed)
+    learner = MODELS[name].learner
+    assert learner is not None
+    return learner.network(settings, picks)

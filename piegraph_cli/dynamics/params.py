@@ -169,6 +169,9 @@ class TrainParams(Params):
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(split_commas)] = Field(
         (0,), min_length=1, description="seeds of weights, batches and choice of sequences; each trains every model"
     )
+    model_seeds: dict[str, Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]] = Field(
+        {}, description="seeds of single models in place of `seeds`, by name"
+    )
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
     piegraph: EGNNParams = Field(EGNNParams(), description="its settings")
@@ -179,6 +182,10 @@ class TrainParams(Params):
     pgnd: PGNDParams = Field(PGNDParams(), description="its settings")
     gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
     variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
+
+    def seeds_of(self, label: str) -> tuple[int, ...]:
+        """The seeds that a model is trained from."""
+        return self.model_seeds.get(trained_label(label) or label, self.seeds)
 
     def of(self, label: str) -> LearningParams:
         """The settings of one model. Raises `UsageError` for a variant that is not declared or does not fit the model."""

@@ -1,7 +1,7 @@
 """Settings of simulated environments, by name, and of `simulate`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -91,19 +91,29 @@ class EnvironmentParams(Params):
     daxbench_python: Path | None = Field(None, description="interpreter for daxbench-* (docs/daxbench.md)")
     daxbench_repo: Path | None = Field(None, description="DaXBench repository for daxbench-*")
 
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without what runs DaXBench and how long it is waited for."""
+        options = {name: value for name, value in self.options.items() if name not in ("python", "repo", "timeout")}
+        return super().content() | {"options": options, "daxbench_python": None, "daxbench_repo": None}
+
     def files(self) -> dict[str, Path]:
-        """As for all settings; what runs DaXBench counts by its path, since its content is not the run's."""
+        """As for all settings, without what runs DaXBench: its content is not the run's."""
         return {k: v for k, v in super().files().items() if not k.startswith("daxbench_")}
 
 
-class SimulateParams(EnvironmentParams):
-    """Settings of `simulate`: true particles of random strokes in a simulated environment."""
+class SequenceParams(EnvironmentParams):
+    """Everything that one simulated sequence depends on, beside its number."""
 
     environment: EnvironmentName = Field("tblock", description="simulated environment, by name")
-    sequences: int = Field(20, ge=1, description="sequences to simulate")
     strokes: int = Field(4, ge=1, description="strokes per sequence")
     modes: Modes = Field(
         (), description="kinds of strokes, at random: push, pick (default: the environment's main one)"
     )
     particles: int = Field(50, ge=4, le=2000, description="particles per object")
     seed: int = Field(0, ge=0, description="seed; sequence i depends on (seed, i) alone")
+
+
+class SimulateParams(SequenceParams):
+    """Settings of `simulate`: true particles of random strokes in a simulated environment."""
+
+    sequences: int = Field(20, ge=1, description="sequences to simulate")

@@ -12,6 +12,7 @@ from piegraph_cli.environments.hand import Hand
 from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, hand_colors
 from piegraph_cli.environments.render import HAND, OBJECT, Part, Renderer, Solid
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.images import encode_masks
 
 _LIFT = 0.085
 _TRAVEL = 0.09
@@ -172,3 +173,26 @@ def _parts(env: Environment, moment: Moment, hand: Hand, skin: np.ndarray) -> tu
     forearm, faces, colors = arm.forearm
     parts.append(Part(forearm, faces, HAND, colors, smooth=True))
     return parts, arm.landmarks
+
+
+def truth_arrays(environment: Environment, frames: list[Frame]) -> dict[str, np.ndarray]:
+    """The truth artifact of rendered frames: particles, surface mesh, masks, hand."""
+    moments = [frame.moment for frame in frames]
+    shapes = np.array([m.shape for m in moments])
+    tips = [np.full(3, np.nan) if m.tip is None else m.tip for m in moments]
+    objects, objects_offsets = encode_masks([mask for frame in frames for mask in frame.object_mask])
+    hands, hands_offsets = encode_masks([mask for frame in frames for mask in frame.hand_mask])
+    return {
+        "particles": environment.particles(shapes),
+        "vertices": environment.surface(shapes),
+        "triangles": environment.triangles,
+        "object_mask": objects,
+        "object_mask_offsets": objects_offsets,
+        "hand_mask": hands,
+        "hand_mask_offsets": hands_offsets,
+        "hand_keypoints": np.array([frame.landmarks for frame in frames]),
+        "end_effector": np.array(tips),
+        "stroke": np.array([m.stroke for m in moments]),
+        "contact": np.array([m.stroke >= 0 for m in moments]),
+        "time": np.array([m.time for m in moments]),
+    }

@@ -13,9 +13,10 @@ from piegraph_cli.errors import DataError, PiegraphError, UsageError
 from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.evaluation.trials import Trial
 from piegraph_cli.experiments.params import ExperimentParams
+from piegraph_cli.files import atomic_file
 from piegraph_cli.params import validated
-from piegraph_cli.stages import STAGES
-from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact
+from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
 from piegraph_cli.workspace.recipe import SHIPPED, Recipe, load_recipe
 from piegraph_cli.workspace.run import Run
@@ -86,7 +87,7 @@ def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def recipe_of(params: ExperimentParams, environment: str, recording: Path | None) -> Recipe:
     """The shipped recipe of an environment with the experiment's models, seeds and sizes."""
-    recipe = load_recipe(SHIPPED / f"{environment}.toml")
+    recipe = load_recipe(SHIPPED / f"{environment}.toml", STAGES)
 
     def put(stage: str, **values: Any) -> None:
         nonlocal recipe
@@ -132,22 +133,23 @@ def run_experiment(name: str, params: ExperimentParams, folder: Path, options: O
             _render(recording, params, environment, options.jobs)
         recipe = recipe_of(params, environment, recording)
         log.info("%s: %s", name, own)
-        outcomes = run_chain(own, last, replace(options, recipe=recipe))
+        run = open_run(own, recipe)
+        outcomes = run_chain(run, last, options)
         failed += [o.error for o in outcomes if o.error]
-        Run(own, recipe).save_recipe()
+        run.save_recipe()
     for environment in params.interactions if params.trials else ():
         log.info("%s: %s", name, folder / name / environment)
-        recipe = trial_recipe(params, environment, folder)
-        outcomes = run_stage(folder / name / environment, STAGES["trials"], replace(options, recipe=recipe))
+        grid = open_run(folder / name / environment, trial_recipe(params, environment, folder))
+        outcomes = run_stage(grid, STAGES["trials"], options)
         failed += [o.error for o in outcomes if o.error]
-        Run(folder / name / environment, recipe).save_recipe()
+        grid.save_recipe()
     return failed
 
 
 def _render(recording: Path, params: ExperimentParams, environment: str, jobs: int) -> None:
     from piegraph_cli.stages.simulate import record_sequences
 
-    shipped = load_recipe(SHIPPED / f"{environment}.toml").params(STAGES["simulate"])
+    shipped = load_recipe(SHIPPED / f"{environment}.toml", STAGES).params(STAGES["simulate"])
     assert isinstance(shipped, SimulateParams)
     count = params.training + params.validation + params.test
     settings = shipped.model_copy(update={"sequences": count, "strokes": params.strokes})
@@ -162,7 +164,7 @@ def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Re
         "models": params.trial_labels(environment),
         "trained": str(folder.resolve()),
     }
-    return Recipe().with_values(STAGES["trials"], values, "experiment", Path.cwd())
+    return Recipe(STAGES).with_values(STAGES["trials"], values, "experiment", Path.cwd())
 
 
 def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
@@ -177,11 +179,11 @@ def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
     for environment in params.interactions:
         recording = folder / "recordings" / environment if params.recordings else None
         own = folder / (f"{environment}-recorded" if params.recordings else environment)
-        run = Run(own, recipe_of(params, environment, recording))
+        run = open_run(own, recipe_of(params, environment, recording))
         metrics[environment] = read_metrics(run)[0]
         models[environment] = _read_models(run)
         if params.trials:
-            grid = Run(folder / name / environment, trial_recipe(params, environment, folder))
+            grid = open_run(folder / name / environment, trial_recipe(params, environment, folder))
             found = read_trials(grid)
             trials += found
             shown[environment] = _one_of_each(found, grid)
@@ -189,7 +191,7 @@ def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
 
 
 def _read_models(run: Run) -> dict[str, list[Artifact]]:
-    from piegraph_cli.workspace.grid import split_model
+    from piegraph_cli.stages.train import split_model
 
     stage, found = STAGES["train"], {}  # type: ignore[var-annotated]
     for unit in run.units(stage):

@@ -103,6 +103,14 @@ class TrialParams(Params):
     network: Path | None = Field(description="model artifact of the trained run; None where nothing is trained")
     plan: PlanParams = Field(description="planning settings in force, with environment, model, strokes and success")
 
+    def content(self) -> dict[str, Any]:
+        """As for all settings, those of the plan too."""
+        return super().content() | {"plan": self.plan.content()}
+
     def files(self) -> dict[str, Path]:
         """None: the network counts by the key of its artifact, and may be missing."""
         return {}
+
+    def artifacts(self) -> dict[str, tuple[Path, str]]:
+        """The network."""
+        return {"network": (self.network, "model")} if self.network else {}

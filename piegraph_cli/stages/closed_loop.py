@@ -17,8 +17,8 @@ from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, plan_strokes
 from piegraph_cli.process import set_up_torch
+from piegraph_cli.stages.learning import read_model
 from piegraph_cli.stages.simulate import make_environment
-from piegraph_cli.stages.train import read_model
 from piegraph_cli.workspace.artifact import Artifact
 
 

@@ -1,83 +1,45 @@
 """Stage `dataset`: strokes cut from the hand's path and contact, training pairs of frames, a split by sequence."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.dynamics.params import DatasetParams
-from piegraph_cli.dynamics.strokes import cut_strokes, frame_pairs
-from piegraph_cli.errors import DataError
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
-TRAIN, VALIDATION, TEST = 0, 1, 2
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.run import Run
 
 
-def run(inputs: dict[str, Mapping[str, Artifact]], params: DatasetParams, context: Context) -> Output:
+def _units(run: "Run") -> Sequence[Unit]:
+    return [None]
+
+
+def _inputs(run: "Run", unit: Unit) -> Inputs:
+    """All tracks that could be made."""
+    return {"tracks": run.made("tracks")}
+
+
+STAGE = Stage(
+    "dataset",
+    "cut strokes, pair frames, split",
+    ("tracks",),
+    "dataset",
+    DatasetParams,
+    version=1,
+    run="piegraph_cli.stages.dataset:run",
+    unit="run",
+    units=_units,
+    inputs=_inputs,
+)
+
+
+def run(inputs: dict[str, Any], params: DatasetParams, context: Context) -> Output:
     """Build the dataset of all tracked sequences."""
-    tracks = dict(inputs["tracks"])
-    _check_particles(tracks)
-    columns: dict[str, list[Any]] = {name: [] for name in ("strokes", "owner", "mode", "pairs", "pair_stroke", "start")}
-    frames, stroke_count, empty = 0, 0, []
-    for index, (name, artifact) in enumerate(tracks.items()):
-        strokes = cut_strokes(artifact["end_effector"], artifact["contact"], params.min_stroke)
-        if len(strokes) == 0:
-            empty.append(name)
-        columns["start"].append(frames)
-        for first, last in strokes:
-            pairs = frame_pairs(first, last, artifact["end_effector"], params.min_gap)
-            columns["strokes"].append([first + frames, last + frames])
-            columns["owner"].append(index)
-            columns["mode"].append(artifact["mode"][first])
-            columns["pairs"] += (pairs + frames).tolist()
-            columns["pair_stroke"] += [stroke_count] * len(pairs)
-            stroke_count += 1
-        frames += len(artifact["time"])
-    if not stroke_count:
-        raise DataError(
-            "no stroke was found in any sequence", hint="check the hand with `piegraph report`, or lower min_stroke"
-        )
-    split = split_sequences(list(tracks), params, set(empty))
-    arrays = {
-        "positions": np.concatenate([a["positions"] for a in tracks.values()]),
-        "end_effector": np.nan_to_num(np.concatenate([a["end_effector"][:, :2] for a in tracks.values()])),
-        "strokes": np.array(columns["strokes"]),
-        "stroke_sequence": np.array(columns["owner"]),
-        "stroke_mode": np.array(columns["mode"]),
-        "pairs": np.array(columns["pairs"], np.int64).reshape(-1, 2),
-        "pair_stroke": np.array(columns["pair_stroke"]),
-        "sequence_name": np.array(list(tracks)),
-        "sequence_start": np.array(columns["start"]),
-        "sequence_split": split,
-    }
-    counts = [int((split == part).sum()) for part in (TRAIN, VALIDATION, TEST)]
-    split_text = f"sequences: {counts[0]} train, {counts[1]} validation, {counts[2]} test"
-    quality = f"{stroke_count} strokes, {len(columns['pairs'])} pairs; {split_text}"
+    from piegraph_cli.dynamics.dataset import TEST, TRAIN, VALIDATION, build_dataset
+
+    arrays, empty = build_dataset(dict(inputs["tracks"]), params)
+    counts = [int((arrays["sequence_split"] == part).sum()) for part in (TRAIN, VALIDATION, TEST)]
+    split = f"sequences: {counts[0]} train, {counts[1]} validation, {counts[2]} test"
+    quality = f"{len(arrays['strokes'])} strokes, {len(arrays['pairs'])} pairs; {split}"
     warnings = [f"no stroke in {', '.join(empty)}: check the hand with `piegraph report`"] if empty else []
     return Output(arrays, quality, warnings)
-
-
-def split_sequences(names: list[str], params: DatasetParams, empty: set[str]) -> np.ndarray:
-    """Split [sequence]: the first `train` of a seeded order train, the next `validation` validate, the rest test.
-
-    Sequences without strokes go last. Raises `DataError` when there is no sequence left to test on.
-    """
-    order = np.random.default_rng(params.seed).permutation(len(names))
-    order = np.array(sorted(order, key=lambda i: names[i] in empty))
-    if len(names) - len(empty) <= params.train + params.validation:
-        raise DataError(
-            f"{len(names) - len(empty)} sequences with strokes, of which {params.train} are to train and "
-            f"{params.validation} to validate: none is left to test on",
-            hint="record more, or lower dataset.train",
-        )
-    split = np.full(len(names), TEST, np.uint8)
-    split[order[: params.train]] = TRAIN
-    split[order[params.train : params.train + params.validation]] = VALIDATION
-    return split
-
-
-def _check_particles(tracks: dict[str, Artifact]) -> None:
-    counts = {name: artifact["positions"].shape[1] for name, artifact in tracks.items()}
-    if len(set(counts.values())) > 1:
-        raise DataError(f"sequences differ in particles: {counts}", hint="track all with the same --particles")

@@ -1,41 +1,71 @@
 """Stage `evaluate`: one model's predictions on held-out sequences."""
 
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
-
-from piegraph_cli.dynamics.action import make_strokes
-from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.errors import DataError
-from piegraph_cli.evaluation.metrics import SHAPE_RADIUS, chamfer_distance, particle_distance, shape_error
-from piegraph_cli.evaluation.params import ModelEvaluateParams
-from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
-from piegraph_cli.physics.springs import build_springs
-from piegraph_cli.process import set_up_torch
-from piegraph_cli.stages import STAGES
-from piegraph_cli.stages.dataset import TEST
-from piegraph_cli.stages.train import read_model
-from piegraph_cli.workspace.artifact import Artifact, read_artifact
-from piegraph_cli.workspace.execute import Context, Output
-from piegraph_cli.workspace.grid import split_model
-from piegraph_cli.workspace.run import Run
+from piegraph_cli.evaluation.params import EvaluateParams, ModelEvaluateParams
+from piegraph_cli.stages import score, train
+from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from piegraph_cli.workspace.artifact import Artifact
+    from piegraph_cli.workspace.run import Run
 
 COLUMNS = ("horizon", "sequence", "first_stroke", "cd", "s", "pd", "pd_truth")
 
 
+def _units(run: "Run") -> Sequence[Unit]:
+    return train.model_names(run.params(STAGE.name).models, run.params("train"))
+
+
+def _settings(run: "Run", unit: str) -> ModelEvaluateParams:
+    params = run.params(STAGE.name)
+    return ModelEvaluateParams(label=train.split_model(unit)[0], **params.model_dump(exclude={"models"}))
+
+
+def _inputs(run: "Run", unit: Unit) -> Inputs:
+    """The dataset, the trained model where one is used, and the scores that there are: a real recording has none."""
+    model = train.trained_name(str(unit))
+    scored = [name for name in run.made("scores") if run.fresh(score.STAGE, name)]
+    return {"dataset": None} | ({"model": model} if model else {}) | ({"scores": scored} if scored else {})
+
+
+STAGE = Stage(
+    "evaluate",
+    "measure predictions on held-out sequences",
+    ("dataset", "model"),
+    "metrics",
+    EvaluateParams,
+    version=5,
+    run="piegraph_cli.stages.evaluate:run",
+    unit="model",
+    optional=("scores",),
+    units=_units,
+    settings=_settings,
+    inputs=_inputs,
+)
+
+
 def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -> Output:
     """Measure a model on every window of held-out strokes."""
+    import numpy as np
+
+    from piegraph_cli.dynamics.dataset import TEST
+    from piegraph_cli.evaluation.windows import window_metrics
+    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.stages.learning import read_model, read_sequence
+
     set_up_torch()
     data, trained = inputs["dataset"], read_model(inputs["model"]) if "model" in inputs else None
     names = data.texts("sequence_name")
     rows: dict[str, list] = {name: [] for name in COLUMNS}
     for index in context.progress(np.flatnonzero(data["sequence_split"] == TEST), "evaluate"):
         sequence = read_sequence(data, int(index))
-        true = inputs["scores"][names[index]]["true_positions"] if "scores" in inputs else None
-        true = None if true is None or len(true) == 0 else true
-        for horizon, *values in _evaluate_sequence(sequence, true, trained, params):
+        true = _true_positions(inputs, names[index])
+        for horizon, *values in window_metrics(sequence, true, trained, params):
             for column, value in zip(rows, (horizon, names[index], *values), strict=True):
                 rows[column].append(value)
     if not rows["horizon"]:
@@ -46,76 +76,47 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
     return Output(arrays, _quality(arrays, params), _warnings(arrays, params))
 
 
-def read_metrics(run: Run) -> tuple[dict[str, list[Artifact]], list[Artifact]]:
+def _true_positions(inputs: dict[str, Any], sequence: str) -> "np.ndarray | None":
+    """The true particles [F, N, 3] (m) of a sequence that was scored."""
+    scores = inputs.get("scores", {})
+    true = scores[sequence]["true_positions"] if sequence in scores else None
+    return None if true is None or len(true) == 0 else true
+
+
+def read_metrics(run: "Run") -> tuple[dict[str, list["Artifact"]], list["Artifact"]]:
     """The fresh metrics of a run, by model and seed, and the scores of its sequences where it has any."""
-    stage, metrics = STAGES["evaluate"], {}  # type: ignore[var-annotated]
-    for name in run.units(stage):
-        if name is not None and run.state(stage, name) == "fresh":
-            metrics.setdefault(split_model(name)[0], []).append(read_artifact(run.path("metrics", name), "metrics"))
-    score = STAGES["score"]
-    names = run.sequences if score in run.recipe.chain() else []
-    paths = [run.path("scores", name) for name in names if run.state(score, name) == "fresh"]
+    from piegraph_cli.workspace.artifact import read_artifact
+
+    metrics: dict[str, list[Artifact]] = {}
+    for name in run.units(STAGE):
+        if name is not None and run.fresh(STAGE, name):
+            metrics.setdefault(train.split_model(name)[0], []).append(
+                read_artifact(run.path("metrics", name), "metrics")
+            )
+    paths = [run.path("scores", name) for name in run.made("scores") if run.fresh(score.STAGE, name)]
     return metrics, [read_artifact(path, "scores") for path in paths]
 
 
-def describe(folder: Path) -> tuple[dict[str, Any], list[str]]:
+def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     """A run's metrics and scores as one object and as lines for people."""
-    metrics, scores = read_metrics(Run.open(folder))
+    from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
+
+    metrics, scores = read_metrics(run)
     rows, values = (
         summarise({m: [a.arrays for a in seeds] for m, seeds in metrics.items()}),
         summarise_scores([a.arrays for a in scores]),
     )
-    return {"metrics": str(folder / "metrics"), "rows": rows, "scores": values}, table_lines(rows, values)
+    return {"metrics": str(run.folder / "metrics"), "rows": rows, "scores": values}, table_lines(rows, values)
 
 
-def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
-    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S, 5], `frames` [S, 2]."""
-    chosen = data["stroke_sequence"] == index
-    first, last = data["strokes"][chosen].T
-    hand = data["end_effector"]
-    start = int(data["sequence_start"][index])
-    return {
-        "rest": data["positions"][start],
-        "before": data["positions"][first],
-        "after": data["positions"][last],
-        "strokes": make_strokes(hand[first], hand[last], data["stroke_mode"][chosen]).numpy(),
-        "frames": np.stack([first, last], 1) - start,
-    }
+def _quality(arrays: dict[str, "np.ndarray"], params: ModelEvaluateParams) -> str:
+    import numpy as np
 
-
-def _evaluate_sequence(
-    sequence: dict[str, np.ndarray], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
-):
-    """Rows (horizon, first stroke, metrics) of all windows of one sequence; all windows advance as one batch."""
-    count = len(sequence["strokes"])
-    edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest, strokes = (torch.as_tensor(sequence[name], dtype=torch.float32) for name in ("rest", "strokes"))
-    predict = make_predict(params.label, trained, rest, params)
-    positions = torch.as_tensor(sequence["before"])
-    for horizon in range(1, min(max(params.horizons), count) + 1):
-        windows = count - horizon + 1
-        positions = predict(positions[:windows], strokes[horizon - 1 :])
-        if horizon not in params.horizons:
-            continue
-        for window in range(windows):
-            last = window + horizon - 1
-            found, target = positions[window].numpy(), sequence["after"][last]
-            metrics = [
-                chamfer_distance(found, target),
-                shape_error(found, target, edges),
-                particle_distance(found, target),
-            ]
-            at_end = None if true is None else true[sequence["frames"][last, 1]]
-            metrics.append(float("nan") if at_end is None else particle_distance(found, at_end))
-            yield horizon, window, *metrics
-
-
-def _quality(arrays: dict[str, np.ndarray], params: ModelEvaluateParams) -> str:
     means = {h: arrays["pd"][arrays["horizon"] == h].mean() for h in params.horizons if h in arrays["horizon"]}
     parts = [f"H={h} {mean:.2f}" for h, mean in means.items()]
     return f"PD [cm] {', '.join(parts)} on {len(np.unique(arrays['sequence']))} held-out sequences"
 
 
-def _warnings(arrays: dict[str, np.ndarray], params: ModelEvaluateParams) -> list[str]:
+def _warnings(arrays: dict[str, "np.ndarray"], params: ModelEvaluateParams) -> list[str]:
     absent = [h for h in params.horizons if h not in arrays["horizon"]]
     return [f"no held-out sequence has {absent[0]} strokes in a row: that horizon is left out"] if absent else []

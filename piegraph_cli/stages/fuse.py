@@ -1,18 +1,30 @@
 """Stage `fuse`: one cloud of the object per frame from all cameras, and whether the hand touches it."""
 
-import numpy as np
+from typing import Any
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.perception.clouds import contact, fuse
 from piegraph_cli.perception.params import FuseParams
-from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.stages.ingest import cameras_of, depth_of, workspace_of
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.stage import Context, Output, Stage
+
+STAGE = Stage(
+    "fuse",
+    "fuse the object's cloud",
+    ("frames", "hands", "masks"),
+    "clouds",
+    FuseParams,
+    version=1,
+    run="piegraph_cli.stages.fuse:run",
+)
 
 
-def run(inputs: dict[str, Artifact], params: FuseParams, context: Context) -> Output:
+def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     """Fuse one sequence."""
+    import numpy as np
+
+    from piegraph_cli.perception.clouds import contact, fuse
+    from piegraph_cli.recording.images import ImageStack
+    from piegraph_cli.stages.images import cameras_of, depth_of, workspace_of
+
     frames, masks, hands = inputs["frames"], inputs["masks"], inputs["hands"]
     cameras, depth, workspace = cameras_of(frames), depth_of(frames), workspace_of(frames)
     mask = ImageStack(masks["mask"], masks["mask_offsets"], len(cameras), "mask")

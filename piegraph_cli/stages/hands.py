@@ -2,22 +2,26 @@
 
 from typing import Any
 
-import numpy as np
-
 from piegraph_cli.errors import DataError
-from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
 from piegraph_cli.perception.params import HandsParams
-from piegraph_cli.stages.ingest import cameras_of, color_of, depth_of
-from piegraph_cli.weights import cached_weights
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.stage import Context, Output, Stage
+
+STAGE = Stage(
+    "hands", "find the hand in 3-D", ("frames",), "hands", HandsParams, version=1, run="piegraph_cli.stages.hands:run"
+)
 
 POOR = 0.5
 """Share of frames with a hand below which the user is warned."""
 
 
-def run(inputs: dict[str, Artifact], params: HandsParams, context: Context) -> Output:
+def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output:
     """Find the hand in one sequence."""
+    import numpy as np
+
+    from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
+    from piegraph_cli.stages.images import cameras_of, color_of, depth_of
+    from piegraph_cli.weights import cached_weights
+
     frames: Any = inputs["frames"]
     cameras, color, depth, time = cameras_of(frames), color_of(frames), depth_of(frames), frames["time"]
     model = params.hand_model or cached_weights("hand-landmarker")

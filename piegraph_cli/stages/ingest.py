@@ -1,122 +1,52 @@
 """Stage `ingest`: a recorded sequence, checked, on one clock, as one file."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.images import ImageStack, join_images
-from piegraph_cli.recording.layout import frame_files, read_cameras, read_color, read_depth, read_times
+from piegraph_cli.errors import UsageError
 from piegraph_cli.recording.params import IngestParams
-from piegraph_cli.recording.timing import align_frames
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
+
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.run import Run
+
+
+def _units(run: "Run") -> Sequence[Unit]:
+    """The sequences of the recording; those that were read, where it is gone."""
+    from piegraph_cli.recording.layout import list_sequences
+
+    recording = recording_of(run)
+    if not recording.exists() and (run.folder / "frames").is_dir():
+        return sorted(path.stem for path in (run.folder / "frames").glob("*.h5"))
+    return [folder.name for folder in list_sequences(recording)]
+
+
+STAGE = Stage(
+    "ingest",
+    "read and check a recording",
+    (),
+    "frames",
+    IngestParams,
+    version=1,
+    run="piegraph_cli.stages.ingest:run",
+    units=_units,
+)
+
+
+def recording_of(run: "Run") -> Path:
+    """The recording folder of a run. Raises `UsageError` where it has none."""
+    recording: Path | None = run.params(STAGE.name).recording
+    if recording is None:
+        raise UsageError("this run has no recording", str(run.folder), "piegraph ingest --recording FOLDER --run RUN")
+    return recording
 
 
 def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
     """Read one sequence of the recording folder."""
-    assert context.sequence is not None
-    folder = context.run.recording / context.sequence
-    cameras = read_cameras(folder)
-    sizes = {f"{camera.name} {camera.width} x {camera.height}" for camera in cameras}
-    if len({(camera.width, camera.height) for camera in cameras}) > 1:
-        raise DataError(
-            f"cameras differ in image size: {', '.join(sorted(sizes))}", str(folder), "record all at one size"
-        )
-    times = {camera.name: read_times(folder, camera) for camera in cameras}
-    files = {camera.name: frame_files(folder, camera) for camera in cameras}
-    _check_counts(folder, times, files)
-    time, source = align_frames(times, params.fps, params.max_skew, str(folder))
-    if len(time) < 2:
-        raise DataError("one frame: nothing can be seen to move", str(folder), "record longer, or remove this sequence")
-    color, depth, blind = [], [], np.zeros((len(time), len(cameras)), bool)
-    for frame in context.progress(range(len(time)), "ingest"):
-        for c, camera in enumerate(cameras):
-            color_file, depth_file = files[camera.name][source[frame, c]]
-            color.append(read_color(color_file, camera))
-            image = read_depth(depth_file, camera)
-            blind[frame, c] = not image.any()
-            depth.append(depth_file.read_bytes())
-    _check_depth(folder, cameras, blind)
-    data, offsets = join_images(color)
-    depth_data, depth_offsets = join_images(depth)
-    arrays = {
-        "color": data,
-        "color_offsets": offsets,
-        "depth": depth_data,
-        "depth_offsets": depth_offsets,
-        "time": time,
-        "source_frame": source,
-        "camera_name": np.array([c.name for c in cameras]),
-        "image_size": np.array([[c.width, c.height] for c in cameras]),
-        "K": np.array([c.K for c in cameras]),
-        "distortion": np.array([c.distortion for c in cameras]),
-        "depth_scale": np.array([c.depth_scale for c in cameras]),
-        "T_world_camera": np.array([c.T_world_camera for c in cameras]),
-    }
-    warnings = []
-    if blind.any():
-        frame, c = np.argwhere(blind)[0]
-        warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
+    from piegraph_cli.recording.sequence import read_sequence
+
+    folder = recording_of(context.run) / str(context.unit)
+    arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
+    time, cameras = arrays["time"], arrays["camera_name"]
     return Output(arrays, f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s", warnings)
-
-
-def _check_counts(folder: Path, times: dict[str, np.ndarray], files: dict[str, list]) -> None:
-    for name, stamps in times.items():
-        if len(stamps) != len(files[name]):
-            raise DataError(
-                f"camera {name} has {len(files[name])} frames and {len(stamps)} time stamps",
-                str(folder / name),
-                "each frame needs one line of timestamps.txt",
-            )
-    counts = {name: len(f) for name, f in files.items()}
-    if len(set(counts.values())) > 1:
-        raise DataError(
-            "cameras differ in frames: " + ", ".join(f"{name} {count}" for name, count in counts.items()),
-            str(folder),
-            "remove the frames that the others lack, from images and timestamps.txt",
-        )
-    if not any(counts.values()):
-        raise DataError("no frames", str(folder), "see docs/formats.md for the layout")
-
-
-def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None:
-    for c in np.flatnonzero(blind.all(0)):
-        raise DataError(
-            f"every depth image of camera {cameras[c].name} is zero, from frame 0 on",
-            str(folder / cameras[c].name / "depth"),
-            "check that depth was recorded, or remove the camera from cameras.json",
-        )
-
-
-def cameras_of(frames: Artifact) -> list[Camera]:
-    """The cameras of a frames artifact."""
-    return [
-        Camera(name, int(w), int(h), K, distortion, T, float(scale))
-        for name, (w, h), K, distortion, T, scale in zip(
-            frames.texts("camera_name"),
-            frames["image_size"],
-            frames["K"],
-            frames["distortion"],
-            frames["T_world_camera"],
-            frames["depth_scale"],
-            strict=True,
-        )
-    ]
-
-
-def color_of(frames: Artifact) -> ImageStack:
-    """The colour images of a frames artifact."""
-    return ImageStack(frames["color"], frames["color_offsets"], len(frames["K"]), "colour")
-
-
-def depth_of(frames: Artifact) -> ImageStack:
-    """The depth images of a frames artifact."""
-    return ImageStack(frames["depth"], frames["depth_offsets"], len(frames["K"]), "depth")
-
-
-def workspace_of(frames: Artifact) -> np.ndarray:
-    """The workspace box [3, 2] (m) of a frames artifact."""
-    return np.array(frames.params["workspace"], float).reshape(3, 2)

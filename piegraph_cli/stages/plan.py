@@ -1,6 +1,6 @@
 """Stage `plan`: strokes towards a goal, closed loop in a simulated environment or for a cloud seen by a robot."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,37 @@ from piegraph_cli.physics.tracking import choose_particles
 from piegraph_cli.planning.mpc import Step
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.process import set_up_torch
+from piegraph_cli.stages import train
 from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.run import Run
+from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
+
+
+def _units(run: Run) -> Sequence[Unit]:
+    return [None]
+
+
+def _inputs(run: Run, unit: Unit) -> Inputs:
+    """The trained model, where one is used."""
+    label = run.params(STAGE.name).model
+    model = train.trained_name(train.model_name(label, run.params("train").seeds_of(label)[0]))
+    return {"model": model} if model else {}
+
+
+STAGE = Stage(
+    "plan",
+    "plan strokes to a goal",
+    ("model",),
+    "plan",
+    PlanParams,
+    version=5,
+    run="piegraph_cli.stages.plan:run",
+    unit="run",
+    on_demand=True,
+    units=_units,
+    inputs=_inputs,
+)
 
 
 def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Output:

@@ -1,22 +1,33 @@
 """Stage `segment`: the object's mask in every image, the hand left out."""
 
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import MissingError, UsageError
-from piegraph_cli.perception import sam, segmentation
 from piegraph_cli.perception.params import SegmentParams
-from piegraph_cli.perception.sam_models import load_sam
-from piegraph_cli.perception.seeds import ObjectSeed, find_object
-from piegraph_cli.recording.images import encode_masks
-from piegraph_cli.stages.ingest import cameras_of, color_of, depth_of, workspace_of
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.stage import Context, Output, Stage
+
+if TYPE_CHECKING:
+    from piegraph_cli.perception.seeds import ObjectSeed
+
+STAGE = Stage(
+    "segment",
+    "mask the object",
+    ("frames", "hands"),
+    "masks",
+    SegmentParams,
+    version=1,
+    run="piegraph_cli.stages.segment:run",
+)
 
 
-def run(inputs: dict[str, Artifact], params: SegmentParams, context: Context) -> Output:
+def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Output:
     """Segment one sequence."""
+    import numpy as np
+
+    from piegraph_cli.perception import sam, segmentation
+    from piegraph_cli.recording.images import encode_masks
+    from piegraph_cli.stages.images import cameras_of, color_of, depth_of, workspace_of
+
     frames, hands = inputs["frames"], inputs["hands"]
     cameras, count = cameras_of(frames), len(frames["time"])
     color = [color_of(frames).of_camera(c) for c in range(len(cameras))]
@@ -47,6 +58,8 @@ def run(inputs: dict[str, Artifact], params: SegmentParams, context: Context) ->
 
 
 def _network(params: SegmentParams) -> Any:
+    from piegraph_cli.perception.sam_models import load_sam
+
     if params.sam_checkpoint is None:
         raise MissingError(
             "--segmenter sam needs weights",
@@ -56,8 +69,12 @@ def _network(params: SegmentParams) -> Any:
     return load_sam(params.sam_checkpoint, params.sam_model)
 
 
-def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> ObjectSeed:
+def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> "ObjectSeed":
     """Where the object is first: found by geometry; with a prompt for every camera, in the first frame."""
+    import numpy as np
+
+    from piegraph_cli.perception.seeds import ObjectSeed, find_object
+
     if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
         return ObjectSeed(0, np.zeros((len(cameras), *color[0][0].shape[:2]), bool))
     return find_object(color, depth, cameras, hand_px, workspace, params)

@@ -1,28 +1,53 @@
 """Stage `simulate`: true particles of random strokes; and, outside the pipeline, rendered recordings of them."""
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from piegraph_cli.environments.params import EnvironmentParams, SequenceParams, SimulateParams
+from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
-from piegraph_cli.environments.params import EnvironmentParams, SimulateParams
-from piegraph_cli.recording.images import encode_masks
-from piegraph_cli.recording.layout import write_cameras, write_frame, write_times
-from piegraph_cli.workspace.artifact import read_key, write_artifact
-from piegraph_cli.workspace.execute import Context, Output
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.run import Run
 
 RECORDING_VERSION = 2
 JPEG_QUALITY = 82
 
 
-def run(inputs: dict[str, Any], params: SimulateParams, context: Context) -> Output:
+def _units(run: "Run") -> Sequence[Unit]:
+    return [f"sequence_{i:04d}" for i in range(run.params(STAGE.name).sequences)]
+
+
+def _settings(run: "Run", unit: str) -> SequenceParams:
+    return _of_sequence(run.params(STAGE.name))
+
+
+def _of_sequence(params: SimulateParams) -> SequenceParams:
+    return SequenceParams(**params.model_dump(exclude={"sequences"}))
+
+
+STAGE = Stage(
+    "simulate",
+    "simulate true particles",
+    (),
+    "tracks",
+    SimulateParams,
+    version=1,
+    run="piegraph_cli.stages.simulate:run",
+    units=_units,
+    settings=_settings,
+)
+
+
+def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Output:
     """Simulate one sequence."""
+    import numpy as np
+
     from piegraph_cli.environments import import_extra
 
-    assert context.sequence is not None
-    index = int(context.sequence.rsplit("_", 1)[1])
+    index = int(str(context.unit).rsplit("_", 1)[1])
     environment = make_environment(params.environment, params.particles, params)
     recording = import_extra("piegraph_cli.environments.recording")
     tracks = recording.simulate_tracks(environment, sequence_seed(params, index), params.strokes, params.modes)
@@ -42,8 +67,10 @@ def make_environment(name: str, particles: int, params: EnvironmentParams) -> An
     return make(name, particles, options)
 
 
-def sequence_seed(params: SimulateParams, index: int) -> int:
+def sequence_seed(params: SequenceParams, index: int) -> int:
     """The seed of one sequence, from (seed, index) alone."""
+    import numpy as np
+
     return int(np.random.SeedSequence([params.seed, index]).generate_state(1)[0])
 
 
@@ -58,23 +85,28 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
 
     from piegraph_cli.environments.hand import load_hand
     from piegraph_cli.environments.rig import camera_rig
+    from piegraph_cli.recording.layout import write_cameras
 
     load_hand()  # fetched once, before several processes would fetch it
     write_cameras(out, camera_rig())
     names = [f"sequence_{i:04d}" for i in range(params.sequences)]
     work = joblib.Parallel(n_jobs=min(jobs, len(names)), return_as="generator")(
-        joblib.delayed(_record_sequence)(out / name, params, i, force) for i, name in enumerate(names)
+        joblib.delayed(_record_sequence)(out / name, _of_sequence(params), i, force) for i, name in enumerate(names)
     )
     list(tqdm(work, total=len(names), desc="render", disable=None, leave=False))
     return names
 
 
-def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bool) -> None:
-    from piegraph_cli.environments.hand import load_hand
-    from piegraph_cli.environments.recording import record
-    from piegraph_cli.environments.rig import camera_rig
+def _record_sequence(folder: Path, params: SequenceParams, index: int, force: bool) -> None:
+    import numpy as np
 
-    settings = params.model_dump(mode="json", exclude={"sequences"})
+    from piegraph_cli.environments.hand import load_hand
+    from piegraph_cli.environments.recording import record, truth_arrays
+    from piegraph_cli.environments.rig import camera_rig
+    from piegraph_cli.recording.layout import write_frame, write_times
+    from piegraph_cli.workspace.artifact import read_key, write_artifact
+
+    settings = params.content()
     key = f"{RECORDING_VERSION} {index} {settings}"
     if not force and read_key(folder / "truth.h5", "truth") == key:
         return
@@ -104,26 +136,3 @@ def _record_sequence(folder: Path, params: SimulateParams, index: int, force: bo
     if folder.exists():
         shutil.rmtree(folder)
     partial.rename(folder)
-
-
-def truth_arrays(environment: Any, frames: list) -> dict[str, np.ndarray]:
-    """The truth artifact of rendered frames: particles, surface mesh, masks, hand."""
-    moments = [frame.moment for frame in frames]
-    shapes = np.array([m.shape for m in moments])
-    tips = [np.full(3, np.nan) if m.tip is None else m.tip for m in moments]
-    objects, objects_offsets = encode_masks([mask for frame in frames for mask in frame.object_mask])
-    hands, hands_offsets = encode_masks([mask for frame in frames for mask in frame.hand_mask])
-    return {
-        "particles": environment.particles(shapes),
-        "vertices": environment.surface(shapes),
-        "triangles": environment.triangles,
-        "object_mask": objects,
-        "object_mask_offsets": objects_offsets,
-        "hand_mask": hands,
-        "hand_mask_offsets": hands_offsets,
-        "hand_keypoints": np.array([frame.landmarks for frame in frames]),
-        "end_effector": np.array(tips),
-        "stroke": np.array([m.stroke for m in moments]),
-        "contact": np.array([m.stroke >= 0 for m in moments]),
-        "time": np.array([m.time for m in moments]),
-    }

@@ -1,20 +1,26 @@
 """Stage `track`: material particles that follow the object through its clouds."""
 
-import numpy as np
+from typing import Any
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.physics.params import TrackParams
-from piegraph_cli.physics.tracking import track
-from piegraph_cli.process import set_up_torch
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+from piegraph_cli.workspace.stage import Context, Output, Stage
+
+STAGE = Stage(
+    "track", "track particles", ("clouds",), "tracks", TrackParams, version=2, run="piegraph_cli.stages.track:run"
+)
 
 POOR = 0.008
 """Metres of residual above which the user is warned."""
 
 
-def run(inputs: dict[str, Artifact], params: TrackParams, context: Context) -> Output:
+def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output:
     """Track one sequence."""
+    import numpy as np
+
+    from piegraph_cli.physics.tracking import track
+    from piegraph_cli.process import set_up_torch
+
     set_up_torch()
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])

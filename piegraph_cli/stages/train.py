@@ -1,28 +1,100 @@
-"""Stage `train`: what one model learns from the dataset, resumed from the last checkpoint."""
+"""Stage `train`: what one model learns from the dataset, resumed from the last checkpoint.
+
+A unit is a model trained from one seed, `pgnd@20.seed1`; so a larger grid keeps what is done.
+"""
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
-from torch import nn
+from piegraph_cli.dynamics.params import ModelParams, TrainParams, split_label, trained_label
+from piegraph_cli.errors import MissingError
+from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
-from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.models import MODELS, Trained
-from piegraph_cli.dynamics.params import LEARNED, LearningParams, ModelParams, split_label
-from piegraph_cli.dynamics.training import Trainer
-from piegraph_cli.errors import DataError, MissingError, UsageError
-from piegraph_cli.params import PICK
-from piegraph_cli.process import set_up_torch
-from piegraph_cli.stages.dataset import TRAIN, VALIDATION
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.execute import Context, Output
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.run import Run
 
 RECORDS = 20
 """Losses are noted this many times in a training."""
 
 
-def run(inputs: dict[str, Artifact], params: ModelParams, context: Context) -> Output:
+def model_name(label: str, seed: int) -> str:
+    """`pgnd@20.seed1`; or `static` alone, where nothing is trained."""
+    return label if trained_label(label) is None else f"{label}.seed{seed}"
+
+
+def split_model(name: str) -> tuple[str, int]:
+    """Label and seed of a `model_name`; seed 0 where there is none."""
+    label, _, seed = name.partition(".seed")
+    return label, int(seed or 0)
+
+
+def trained_name(name: str) -> str | None:
+    """The trained model that a model uses: `piegraph.seed1` for `piegraph-ng.seed1`; None where nothing is trained."""
+    label, seed = split_model(name)
+    own = trained_label(label)
+    return None if own is None else model_name(own, seed)
+
+
+def model_names(labels: tuple[str, ...], train: TrainParams) -> list[str]:
+    """Models by name, from every seed that they are trained from."""
+    return list(dict.fromkeys(model_name(label, seed) for label in labels for seed in train.seeds_of(label)))
+
+
+def _units(run: "Run") -> Sequence[Unit]:
+    params = run.params(STAGE.name)
+    return model_names(params.models, params)
+
+
+def _settings(run: "Run", unit: str) -> ModelParams:
+    params, (label, seed) = run.params(STAGE.name), split_model(unit)
+    return ModelParams(
+        label=label,
+        seed=seed,
+        settings=params.of(label),
+        checkpoint_every=params.checkpoint_every,
+        tensorboard=params.tensorboard,
+    )
+
+
+def _inputs(run: "Run", unit: Unit) -> Inputs:
+    return {"dataset": None}
+
+
+def _command(run: "Run", unit: Unit) -> str:
+    """A model that the recipe does not train needs a call of its own."""
+    if unit in run.units(STAGE):
+        return f"piegraph run --run {run.folder} --until train"
+    label, seed = split_model(str(unit))
+    return f"piegraph train --run {run.folder} --model {label} --seed {seed}"
+
+
+STAGE = Stage(
+    "train",
+    "train models",
+    ("dataset",),
+    "model",
+    TrainParams,
+    version=5,
+    run="piegraph_cli.stages.train:run",
+    unit="model",
+    units=_units,
+    settings=_settings,
+    inputs=_inputs,
+    command=_command,
+)
+
+
+def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output:
     """Train one model on the dataset's training sequences."""
+    import numpy as np
+
+    from piegraph_cli.dynamics.dataset import TRAIN, VALIDATION
+    from piegraph_cli.dynamics.models import MODELS, make_network
+    from piegraph_cli.dynamics.training import Trainer
+    from piegraph_cli.process import choose_device, set_up_torch
+    from piegraph_cli.stages.learning import read_sequences
+
     set_up_torch()
     device = choose_device(context.device)
     name, _, count = split_label(params.label)
@@ -59,67 +131,9 @@ def run(inputs: dict[str, Artifact], params: ModelParams, context: Context) -> O
     return Output(arrays, quality)
 
 
-def make_network(name: str, settings: LearningParams, picks: bool, seed: int) -> nn.Module:
-    """A network with fresh weights, drawn from the seed; `picks` where the data has picks."""
-    torch.manual_seed(seed)
-    learner = MODELS[name].learner
-    assert learner is not None
-    return learner.network(settings, picks)
-
-
 def _tensorboard(context: Context):
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise MissingError("tensorboard is not installed", hint="pip install tensorboard") from None
     return SummaryWriter(str(context.run.folder / "tensorboard"))
-
-
-def choose_device(name: str) -> str:
-    """`cuda` or `cpu` from `auto`, `cuda` or `cpu`. Raises `MissingError` for an absent GPU."""
-    if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda" and not torch.cuda.is_available():
-        raise MissingError("no CUDA device", hint="use --device cpu")
-    return name
-
-
-def read_sequences(data: Artifact, split: int, count: int | None = None, seed: int = 0) -> Sequences:
-    """The sequences of one split, or `count` of them, which the seed chooses. Raises `UsageError` for more than there are."""
-    chosen = np.flatnonzero(data["sequence_split"] == split)
-    if count is not None and count > len(chosen):
-        raise UsageError(
-            f"{len(chosen)} sequences to train on, {count} are asked for",
-            str(data.path),
-            "a larger dataset.train, or a smaller number after @",
-        )
-    if count is not None:
-        chosen = np.sort(np.random.default_rng([seed, count]).permutation(chosen)[:count])
-    strokes = np.flatnonzero(np.isin(data["stroke_sequence"], chosen))
-    pairs = np.isin(data["pair_stroke"], strokes)
-    return Sequences(
-        positions=data["positions"],
-        hand=data["end_effector"],
-        strokes=data["strokes"][strokes],
-        mode=data["stroke_mode"][strokes],
-        owner=np.searchsorted(chosen, data["stroke_sequence"][strokes]),
-        rest=data["positions"][data["sequence_start"][chosen]],
-        pairs=data["pairs"][pairs],
-        pair_stroke=np.searchsorted(strokes, data["pair_stroke"][pairs]),
-    )
-
-
-def read_model(model: Artifact) -> Trained:
-    """What a model artifact holds. Raises `DataError` where the weights do not fit its settings."""
-    name = split_label(model.params["label"])[0]
-    settings = LEARNED[name].model_validate(model.params["settings"])
-    network = make_network(name, settings, PICK in model["modes"], model.params["seed"])
-    weights = {
-        n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")
-    }
-    try:
-        network.load_state_dict(weights)
-    except RuntimeError as error:
-        reason = str(error).splitlines()[-1].strip()
-        raise DataError(f"weights do not fit: {reason}", str(model.path), "piegraph train --force") from None
-    return Trained(network.eval().requires_grad_(False), settings, float(model["pace"]))

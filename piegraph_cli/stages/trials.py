@@ -1,20 +1,91 @@
-"""Stage `trials`: one episode of planning in a simulated environment, and the summary of all of them."""
+"""Stage `trials`: one episode of planning in a simulated environment, and the summary of all of them.
 
+A unit is one trial of the grid environments x models x goals x starts, by name; so a larger grid keeps what is done.
+"""
+
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from piegraph_cli.environments import check_options
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
+from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import train
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
-from piegraph_cli.workspace.execute import Context, Output
-from piegraph_cli.workspace.grid import split_name
 from piegraph_cli.workspace.run import Run
+from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
+
+_QUESTION = {"env", "state", "goal", "goal_pose", "model", "strokes", "success", "episodes", "seed"}
+"""Settings of `plan` that the grid gives."""
+
+
+def _units(run: Run) -> Sequence[Unit]:
+    """`tblock.piegraph.goal00.seed03` and so on, models innermost: what is done first can be compared first."""
+    params = run.params(STAGE.name)
+    return [
+        f"{env}.{model}.goal{goal:02d}.seed{seed:02d}"
+        for env in dict.fromkeys(params.envs)
+        for goal in range(params.goals)
+        for seed in range(params.seeds)
+        for model in dict.fromkeys(params.models)
+    ]
+
+
+def _settings(run: Run, unit: str) -> TrialParams:
+    """The settings of one trial of the grid, whose trained runs lie side by side in one folder.
+
+    Planning settings are those of the trained run's recipe, where it has one; where that trains from several seeds, the
+    starts take turns with them. Raises `UsageError` for options that the environment does not have.
+    """
+    params: TrialsParams = run.params(STAGE.name)
+    env, model, goal, seed = split_name(unit)
+    trained = Run.open((params.trained or run.folder.resolve().parent) / env, run.recipe.table)
+    kept: PlanParams = trained.params("plan")
+    settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
+    settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}
+    settings["options"] = kept.options | _options_of(params, env)
+    check_options(env, settings["options"])
+    for interpreter in ("daxbench_python", "daxbench_repo"):
+        given = getattr(params, interpreter) or settings[interpreter]
+        settings[interpreter] = given if env.startswith("daxbench-") else None
+    settings |= {"env": env, "strokes": params.strokes, "success": min(params.thresholds)}
+    plan = validated(PlanParams, settings, "plan", "trials.plan", "piegraph plan --help")
+    seeds = trained.params("train").seeds_of(model)
+    own = train.trained_name(train.model_name(model, seeds[seed % len(seeds)]))
+    return TrialParams(goal=goal, seed=seed, network=trained.path("model", own) if own else None, plan=plan)
+
+
+def split_name(name: str) -> tuple[str, str, int, int]:
+    """Environment, model, number of the goal and of the start of a trial, from its name."""
+    env, model, goal, seed = name.split(".")
+    return env, model, int(goal.removeprefix("goal")), int(seed.removeprefix("seed"))
+
+
+def _options_of(params: TrialsParams, env: str) -> dict[str, float | str]:
+    """The options `ENV.NAME` for one environment; those without an ENV are for all of them."""
+    split = {name: name.rpartition(".") for name in params.options}
+    return {option: params.options[name] for name, (of, _, option) in split.items() if of in ("", env)}
+
+
+STAGE = Stage(
+    "trials",
+    "plan in a grid of environments, models, goals and seeds",
+    (),
+    "trials",
+    TrialsParams,
+    version=4,
+    run="piegraph_cli.stages.trials:run",
+    unit="trial",
+    on_demand=True,
+    units=_units,
+    settings=_settings,
+)
 
 
 def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output:
@@ -62,23 +133,19 @@ def _read_once(path: Path, key: str | None) -> Artifact:
 
 def read_trials(run: Run) -> list[Trial]:
     """The trials of a run's grid that are fresh, with their distances; environments and models in the grid's order."""
-    stage, trials = STAGES["trials"], []
-    params = run.recipe.params(stage)
-    assert isinstance(params, TrialsParams)
-    for name in run.units(stage):
-        if run.state(stage, name) != "fresh":
+    params, trials = run.params(STAGE.name), []
+    for name in run.units(STAGE):
+        if not run.fresh(STAGE, name):
             continue
-        artifact = read_artifact(run.path(stage.writes, name), stage.writes, ("pd", "cd", "seconds"))
+        artifact = read_artifact(run.path(STAGE.writes, name), STAGE.writes, ("pd", "cd", "seconds"))
         trials.append(Trial(*split_name(str(name)), artifact["pd"], artifact["cd"], artifact["seconds"]))
     return sorted(trials, key=lambda t: (params.envs.index(t.environment), params.models.index(t.model)))
 
 
-def describe(folder: Path) -> tuple[dict[str, Any], list[str]]:
+def describe(run: Run) -> tuple[dict[str, Any], list[str]]:
     """A run's trials as one object and as lines for people."""
-    run = Run.open(folder)
-    params = run.recipe.params(STAGES["trials"])
-    assert isinstance(params, TrialsParams)
+    params = run.params(STAGE.name)
     trials = read_trials(run)
     results, comparisons = summarise_trials(trials, params.thresholds), compare_trials(trials, params.thresholds)
-    value = {"trials": str(folder / "trials"), "units": "m", "results": results, "cliffs_delta": comparisons}
+    value = {"trials": str(run.folder / "trials"), "units": "m", "results": results, "cliffs_delta": comparisons}
     return value, trial_lines(results, comparisons, params.strokes)

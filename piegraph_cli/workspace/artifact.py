@@ -3,7 +3,6 @@
 import contextlib
 import datetime
 import json
-import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from piegraph_cli import __version__
 from piegraph_cli.errors import DataError
+from piegraph_cli.files import atomic_file
 from piegraph_cli.workspace.schema import FIXED_AXES, SCHEMA_VERSION, SCHEMAS, Field, field_of
 
 CHUNK_BYTES = 1 << 20
@@ -78,35 +78,6 @@ def write_artifact(
         image = file.id.get_file_image()
     with atomic_file(path) as temporary:
         temporary.write_bytes(image)
-
-
-@contextlib.contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path in the same folder; on success sync it and rename it to `path`, on failure remove it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise DataError(
-            f"cannot be written: {error}", str(path), "free disk space or check permissions, then rerun"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
-def remove_leftovers(path: Path) -> None:
-    """Remove temporary files of `path` that a killed process left behind; call with the artifact's lock held."""
-    for leftover in path.parent.glob(f".{path.name}.*.tmp"):
-        leftover.unlink(missing_ok=True)
 
 
 def _cast(name: str, dataset: str, value: np.ndarray, path: Path) -> np.ndarray:

@@ -1,10 +1,10 @@
-"""Running stages: skip what is fresh, take the lock, read, call, write; over sequences in parallel; failures kept apart."""
+"""Running stages: skip what is fresh, take the lock, read, call, write; over units in parallel; failures kept apart."""
 
 import logging
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -13,42 +13,21 @@ import numpy as np
 from filelock import Timeout
 
 from piegraph_cli.errors import DataError, PiegraphError
-from piegraph_cli.stages import STAGES, Stage
-from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, remove_leftovers, write_artifact
+from piegraph_cli.files import remove_leftovers
+from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
 from piegraph_cli.workspace.parallel import each
-from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
+from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 log = logging.getLogger("piegraph")
 
-LEFT_OUT = "left out, since it failed before"
+
+class InputError(DataError):
+    """What a unit reads was not made."""
 
 
-@dataclass(frozen=True)
-class Output:
-    """What a stage returns: arrays by dataset name, one line on their quality, and warnings with the next step."""
-
-    arrays: Mapping[str, np.ndarray]
-    quality: str
-    warnings: list[str] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Context:
-    """What a stage may use beside its inputs and settings."""
-
-    run: Run
-    sequence: str | None
-    device: str
-    checkpoint: "Checkpoint"
-    quiet: bool
-
-    def progress(self, items: Iterable, what: str, total: int | None = None) -> Iterator:
-        """The items, with a progress bar on stderr where that is a terminal."""
-        from tqdm import tqdm
-
-        name = f"{what} {self.sequence}" if self.sequence else what
-        yield from tqdm(items, desc=name, total=total, leave=False, disable=None if not self.quiet else True, delay=1)
+class LeftOut(DataError):
+    """A unit was not tried, since it failed before."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +35,7 @@ class Checkpoint:
     """Where a long stage keeps its state; a state saved under another key is ignored."""
 
     path: Path
+    stage: Stage
     key: str
 
     def load(self) -> dict[str, np.ndarray] | None:
@@ -68,13 +48,12 @@ class Checkpoint:
     def save(self, state: Mapping[str, np.ndarray]) -> None:
         """Replace the saved state."""
         arrays = {f"state/{name}": np.asarray(value) for name, value in state.items()}
-        name = self.path.stem.partition(".")[0]
         write_artifact(
             self.path,
             "checkpoint",
             arrays,
-            stage=name,
-            stage_version=STAGES[name].version,
+            stage=self.stage.name,
+            stage_version=self.stage.version,
             key=self.key,
             params={},
             inputs={},
@@ -91,8 +70,6 @@ class Options:
     jobs: int = 1
     backend: Literal["local", "ray"] = "local"
     device: str = "auto"
-    recipe: Recipe | None = None
-    """Settings to run with in place of the run's own."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +77,7 @@ class Outcome:
     """What became of one unit of a stage."""
 
     stage: str
-    sequence: str | None
+    unit: Unit
     state: Literal["done", "cached", "failed"]
     seconds: float
     quality: str = ""
@@ -108,40 +85,39 @@ class Outcome:
     error: PiegraphError | None = None
 
 
-def run_stage(folder: Path, stage: Stage, options: Options) -> list[Outcome]:
+def run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
     """Run one stage over all its units; a unit that fails leaves the others be. Failures are recorded in the run.
 
-    Sequences that failed in an earlier stage are failures here as well, without being tried.
+    Units that failed in an earlier stage are failures here as well, without being tried.
     """
-    run = Run.open(folder, options.recipe)
-    if stage.per == "run":
-        _require_inputs(run, stage)
+    run = Run(run.folder, run.recipe)
     wanted = [u for u in run.units(stage) if not options.only or u in options.only]
-    left_out = {u: why for u in wanted if u is not None and (why := _failed_earlier(run, stage, u))}
+    for unit in wanted[:1]:
+        _require_inputs(run, stage, unit)
+    left_out = {u: why for u in wanted if (why := run.failed_before(stage, u))}
     units = [u for u in wanted if u not in left_out]
-    todo = [u for u in units if options.force or run.state(stage, u) != "fresh"]
+    todo = [u for u in units if options.force or not run.fresh(stage, u)]
     outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in todo]
     outcomes += _work_through(run, stage, todo, options)
-    failed = {o.sequence: o.error for o in outcomes if o.error}
     _log_outcomes(outcomes)
     if todo:
         try:
-            run.record_failures(stage, failed)
+            run.record_failures(stage, todo, {o.unit: o.error for o in outcomes if o.error})
         except DataError as full:  # a full disk: the outcomes still count
             log.error("%s", full)
     for unit, why in left_out.items():
-        error = DataError(f"{LEFT_OUT}: {why.splitlines()[0]}", str(unit))
+        error = LeftOut(f"left out, since it failed before: {why.splitlines()[0]}", str(unit))
         outcomes.append(Outcome(stage.name, unit, "failed", 0.0, error=error))
-    return sorted(outcomes, key=lambda o: o.sequence or "")
+    return sorted(outcomes, key=lambda o: o.unit or "")
 
 
-def _work_through(run: Run, stage: Stage, units: list[str | None], options: Options) -> list[Outcome]:
+def _work_through(run: Run, stage: Stage, units: list[Unit], options: Options) -> list[Outcome]:
     from tqdm import tqdm
 
     many = len(units) > 1 or options.backend == "ray"
-    work = partial(run_unit, run.folder.resolve(), stage.name, options=options, quiet=many)
+    work = partial(run_unit, Run(run.folder.resolve(), run.recipe), stage, options=options, quiet=many)
 
-    def lost(unit: str | None, error: PiegraphError) -> Outcome:
+    def lost(unit: Unit, error: PiegraphError) -> Outcome:
         return Outcome(stage.name, unit, "failed", 0.0, error=error)
 
     jobs = max(1, min(options.jobs, len(units)))
@@ -150,52 +126,47 @@ def _work_through(run: Run, stage: Stage, units: list[str | None], options: Opti
         return [outcome for outcome in each(work, units, jobs, options.backend, lost) if bar.update() or True]
 
 
-def run_unit(folder: Path, stage_name: str, sequence: str | None, options: Options, quiet: bool = True) -> Outcome:
+def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool = True) -> Outcome:
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
-    stage, run, start = STAGES[stage_name], Run.open(folder, options.recipe), time.monotonic()
+    start = time.monotonic()
     try:
-        path = run.path(stage.writes, sequence)
-        with _locked(run, stage, sequence) as waited:
-            for file in (path, run.checkpoint(stage, sequence)):
+        with _locked(run, stage, unit) as waited:
+            for file in (run.path(stage.writes, unit), run.checkpoint(stage, unit)):
                 remove_leftovers(file)
-            if (waited or not options.force) and run.state(stage, sequence) == "fresh":
-                return Outcome(stage_name, sequence, "cached", 0.0, _quality(run, stage, sequence))
-            output = _make(run, stage, sequence, options, quiet)
-        return Outcome(stage_name, sequence, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
+            if (waited or not options.force) and run.fresh(stage, unit):
+                return Outcome(stage.name, unit, "cached", 0.0, _quality(run, stage, unit))
+            output = _make(run, stage, unit, options, quiet)
+        return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
     except PiegraphError as error:
-        return Outcome(stage_name, sequence, "failed", time.monotonic() - start, error=error)
+        return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=error)
     except Exception as error:
         log.debug("%s", traceback.format_exc())
         bug = PiegraphError(
-            f"{type(error).__name__}: {error}", f"bug in {stage_name}", f"the traceback is in {folder}/run.log"
+            f"{type(error).__name__}: {error}", f"bug in {stage.name}", f"the traceback is in {run.folder}/run.log"
         )
         bug.traceback = traceback.format_exc()  # type: ignore[attr-defined]
-        return Outcome(stage_name, sequence, "failed", time.monotonic() - start, error=bug)
+        return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=bug)
 
 
-def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet: bool) -> Output:
-    key = run.key(stage, sequence)
-    files = run.inputs(stage, sequence)
-    inputs: dict[str, Any] = {}
-    for name in dict.fromkeys(name for name, _ in files):
-        units = [unit for n, unit in files if n == name]
-        if run.producer(name).per == "sequence" and stage.per != "sequence":
-            inputs[name] = _OnDemand(run, name, [unit for unit in units if unit])
-        else:
-            inputs[name] = _read_fresh(run, name, units[0])
-    checkpoint = Checkpoint(run.checkpoint(stage, sequence), key)
-    context = Context(run, sequence, options.device, checkpoint, quiet)
-    params = run.params(stage, sequence)
+def _make(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool) -> Output:
+    key = run.key(stage, unit)
+    inputs: dict[str, Any] = {
+        name: _OnDemand(run, name, units) if isinstance(units, list) else read_fresh(run, name, units)
+        for name, units in run.inputs(stage, unit).items()
+    }
+    checkpoint = Checkpoint(run.checkpoint(stage, unit), stage, key)
+    context = Context(run, unit, options.device, checkpoint, quiet)
+    params = run.settings(stage, unit)
     output = stage.load()(inputs, params, context)
     write_artifact(
-        run.path(stage.writes, sequence),
+        run.path(stage.writes, unit),
         stage.writes,
         output.arrays,
         stage=stage.name,
         stage_version=stage.version,
         key=key,
-        params=params.model_dump(mode="json"),
-        inputs={f"{name}/{s}" if s else name: run.key(run.producer(name), s) for name, s in files},
+        params=params.content(),
+        inputs={f"{name}/{u}" if u else name: run.key(run.maker(name), u) for name, u in run.files(stage, unit)},
         quality=output.quality,
     )
     checkpoint.path.unlink(missing_ok=True)
@@ -203,60 +174,58 @@ def _make(run: Run, stage: Stage, sequence: str | None, options: Options, quiet:
 
 
 class _OnDemand(Mapping[str, Artifact]):
-    """One artifact of many sequences, read when asked for: the frames of a whole recording would not fit into memory."""
+    """One artifact of many units, read when asked for: the frames of a whole recording would not fit into memory."""
 
-    def __init__(self, run: Run, name: str, sequences: list[str]):
-        self.run, self.name, self.sequences = run, name, sequences
+    def __init__(self, run: Run, name: str, units: list[str]):
+        self.run, self.name, self.units = run, name, units
 
-    def __getitem__(self, sequence: str) -> Artifact:
-        if sequence not in self.sequences:
-            raise KeyError(sequence)
-        return _read_fresh(self.run, self.name, sequence)
+    def __getitem__(self, unit: str) -> Artifact:
+        if unit not in self.units:
+            raise KeyError(unit)
+        return read_fresh(self.run, self.name, unit)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.sequences)
+        return iter(self.units)
 
     def __len__(self) -> int:
-        return len(self.sequences)
+        return len(self.units)
 
 
-def _read_fresh(run: Run, name: str, sequence: str | None) -> Artifact:
-    producer = run.producer(name)
-    state = run.state(producer, sequence)
+def read_fresh(run: Run, name: str, unit: Unit) -> Artifact:
+    """An artifact of a run. Raises `InputError` with the command that makes it where it is not fresh."""
+    producer = run.maker(name)
+    state = run.state(producer, unit)
     if state != "fresh":
-        where = str(run.path(name, sequence))
-        raise DataError(f"{name} is {state}", where, f"piegraph run --run {run.folder} --until {producer.name}")
-    return read_artifact(run.path(name, sequence), name)
+        default = f"piegraph run --run {run.folder} --until {producer.name}"
+        hint = producer.command(run, unit) if producer.command else default
+        raise InputError(f"{name} is {state}", str(run.path(name, unit)), hint)
+    return read_artifact(run.path(name, unit), name)
 
 
-def _require_inputs(run: Run, stage: Stage) -> None:
-    files = run.inputs(stage, None)
-    for name in stage.reads:
-        if not any(n == name for n, _ in files):
+def _require_inputs(run: Run, stage: Stage, unit: Unit) -> None:
+    """Refuse a stage that gathers what no unit has."""
+    for name, units in run.inputs(stage, unit).items():
+        if units == [] and name in stage.reads:
             reasons = "; ".join(sorted({r["message"].splitlines()[0] for r in run.failures.values()}))
             raise DataError(
-                f"no sequence has {name}: {reasons}", str(run.folder), f"piegraph status --run {run.folder}"
+                f"no {run.maker(name).unit} has {name}: {reasons}",
+                str(run.folder),
+                f"piegraph status --run {run.folder}",
             )
 
 
-def _failed_earlier(run: Run, stage: Stage, sequence: str) -> str | None:
-    chain = run.recipe.chain()
-    before = [s for s in chain[: chain.index(stage)] if s.per == stage.per] if stage in chain else []
-    return run.failure(before[-1], sequence) if before else None
-
-
-def _quality(run: Run, stage: Stage, sequence: str | None) -> str:
+def _quality(run: Run, stage: Stage, unit: Unit) -> str:
     import h5py
 
-    with h5py.File(run.path(stage.writes, sequence), "r") as file:
+    with h5py.File(run.path(stage.writes, unit), "r") as file:
         return str(file.attrs["quality"])
 
 
 class _locked:
     """The lock of one artifact; tells whether another process had it, for then its result may be used."""
 
-    def __init__(self, run: Run, stage: Stage, sequence: str | None):
-        self.lock = run.lock(f"{stage.writes}/{sequence}" if sequence else stage.writes)
+    def __init__(self, run: Run, stage: Stage, unit: Unit):
+        self.lock = run.lock(f"{stage.writes}/{unit}" if unit else stage.writes)
 
     def __enter__(self) -> bool:
         try:
@@ -274,8 +243,8 @@ class _locked:
 def _log_outcomes(outcomes: list[Outcome]) -> None:
     """Failures and warnings to the user, equal ones once; everything to the log file."""
     failures: dict[str, list[Outcome]] = {}
-    for outcome in sorted(outcomes, key=lambda o: o.sequence or ""):
-        name = f"{outcome.stage} {outcome.sequence}" if outcome.sequence else outcome.stage
+    for outcome in sorted(outcomes, key=lambda o: o.unit or ""):
+        name = f"{outcome.stage} {outcome.unit}" if outcome.unit else outcome.stage
         if outcome.error:
             failures.setdefault(str(outcome.error), []).append(outcome)
             log.debug("%s", getattr(outcome.error, "traceback", ""))
@@ -284,35 +253,33 @@ def _log_outcomes(outcomes: list[Outcome]) -> None:
             for warning in outcome.warnings:
                 log.warning("%s: %s", name, warning)
     for message, same in failures.items():
-        names = ", ".join(o.sequence for o in same if o.sequence)
+        names = ", ".join(o.unit for o in same if o.unit)
         log.error("%s failed%s: %s", same[0].stage, f" on {names}" if names else "", message)
 
 
-def run_chain(folder: Path, until: str | None, options: Options) -> list[Outcome]:
+def run_chain(run: Run, until: str | None, options: Options) -> list[Outcome]:
     """Run a recipe's stages in order, each on what the stages before it could make."""
-    chain = Run.open(folder, options.recipe).recipe.chain()
     outcomes: list[Outcome] = []
-    for stage in chain:
+    for stage in run.chain:
         begin = time.monotonic()
-        found = run_stage(folder, stage, options)
-        outcomes += [o for o in found if not (o.error and o.error.message.startswith(LEFT_OUT))]
+        found = run_stage(run, stage, options)
+        outcomes += [o for o in found if not isinstance(o.error, LeftOut)]
         log.info("%-9s %6.1f s", stage.name, time.monotonic() - begin)
-        if (stage.per == "run" and found[-1].error) or stage.name == until:
+        if any(o.unit is None and o.error for o in found) or stage.name == until:
             break
     return outcomes
 
 
-def status(folder: Path) -> list[dict[str, Any]]:
-    """One row per stage and unit: stage, sequence, artifact, state, quality and the failure's message."""
-    run = Run.open(folder)
+def status(run: Run) -> list[dict[str, Any]]:
+    """One row per stage and unit: stage, unit, artifact, state, quality and the failure's message."""
     rows = []
-    for stage in run.recipe.chain():
+    for stage in run.chain:
         for unit in run.units(stage):
             state = run.state(stage, unit)
             rows.append(
                 {
                     "stage": stage.name,
-                    "sequence": unit,
+                    "unit": unit,
                     "artifact": str(run.path(stage.writes, unit)),
                     "state": state,
                     "quality": _quality(run, stage, unit) if state == "fresh" else "",

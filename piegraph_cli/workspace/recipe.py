@@ -9,9 +9,9 @@ from typing import Any
 import tomli_w
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params, validated
-from piegraph_cli.stages import STAGES, Stage
-from piegraph_cli.workspace.artifact import atomic_file
+from piegraph_cli.workspace.stage import Stage, Table
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -25,8 +25,9 @@ SHIPPED = next(
 
 @dataclass(frozen=True)
 class Recipe:
-    """The settings given for each stage; whatever is not given has its default."""
+    """The settings given for each stage of a table; whatever is not given has its default."""
 
+    table: Table = field(repr=False)
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def params(self, stage: Stage) -> Params:
@@ -43,22 +44,26 @@ class Recipe:
         for name, value in values.items():
             table, dot, inner = name.partition(".")
             section[table] = section.get(table, {}) | {inner: value} if dot else value
-        for name, file in _validate(stage, section, where).files().items():
+        checked = _validate(stage, section, where)
+        section = checked.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        for name, file in checked.files().items():
             if name in values:
                 section[name] = str((base / file).resolve()) + str(values[name])[len(str(file)) :]
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:
-        """The stages of this recipe, in order: from a simulation or from a recording, on to what the recipe names.
+        """The stages of this recipe, in order: its sources, and all that can be made of them and need not be named.
 
-        A recipe of trials that names neither is the trials alone.
+        Of two that write the same artifact the later one counts: tracks of a recording before those of a simulation.
         """
-        if "trials" in self.sections and not {"simulate", "ingest"} & set(self.sections):
-            return [STAGES["trials"]]
-        from_recording = "ingest" in self.sections or "simulate" not in self.sections
-        skipped = {"simulate"} if from_recording else {"ingest", "hands", "segment", "fuse", "track", "score"}
-        skipped |= {"plan", "trials"} - set(self.sections)
-        return [stage for stage in STAGES.values() if stage.name not in skipped]
+        sources = [stage for stage in self.table.values() if not stage.reads]
+        wanted = [stage for stage in sources if stage.name in self.sections] or sources[:1]
+        made: dict[str, Stage] = {}
+        for stage in self.table.values():
+            follows = bool(stage.reads) and all(name in made for name in stage.reads)
+            if stage in wanted or (follows and (not stage.on_demand or stage.name in self.sections)):
+                made[stage.writes] = stage
+        return [stage for stage in self.table.values() if stage in made.values()]
 
     def save(self, path: Path) -> None:
         """Write the recipe as TOML."""
@@ -67,7 +72,7 @@ class Recipe:
             temporary.write_text(tomli_w.dumps(plain))
 
 
-def load_recipe(path: Path) -> Recipe:
+def load_recipe(path: Path, table: Table) -> Recipe:
     """Read a recipe; paths in it are relative to its folder. Raises `UsageError` for unknown sections and settings."""
     try:
         sections = tomllib.loads(path.read_text())
@@ -75,11 +80,11 @@ def load_recipe(path: Path) -> Recipe:
         raise DataError("no such recipe", str(path), f"give a .toml file, or one of {', '.join(shipped())}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise UsageError(f"not a readable TOML file: {error}", str(path)) from None
-    recipe = Recipe()
+    recipe = Recipe(table)
     for name, section in sections.items():
-        if name not in STAGES or not isinstance(section, dict):
-            raise UsageError(f"unknown section [{name}]", str(path), f"sections are the stages: {', '.join(STAGES)}")
-        recipe = recipe.with_values(STAGES[name], section, str(path), path.parent)
+        if name not in table or not isinstance(section, dict):
+            raise UsageError(f"unknown section [{name}]", str(path), f"sections are the stages: {', '.join(table)}")
+        recipe = recipe.with_values(table[name], section, str(path), path.parent)
     return recipe
 
 
@@ -94,19 +99,19 @@ def find_recipe(name: str) -> Path:
     return path if name in shipped() and not Path(name).is_file() else Path(name)
 
 
-def parse_setting(text: str) -> tuple[Stage, str, Any]:
+def parse_setting(text: str, table: Table) -> tuple[Stage, str, Any]:
     """`stage.setting=value` with a TOML value; anything that is not TOML is text."""
     place, equals, value = text.partition("=")
     stage, dot, setting = place.strip().partition(".")
-    if not equals or not dot or stage not in STAGES:
+    if not equals or not dot or stage not in table:
         raise UsageError(
             f"cannot read --set {text}",
             hint="use STAGE.SETTING=VALUE, as in --set track.stiffness=0.1 or train.piegraph.steps=500",
         )
     try:
-        return STAGES[stage], setting, tomllib.loads(f"value = {value}")["value"]
+        return table[stage], setting, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
-        return STAGES[stage], setting, value.strip()
+        return table[stage], setting, value.strip()
 
 
 def _validate(stage: Stage, values: Mapping[str, Any], where: str) -> Params:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -9,27 +10,12 @@ from typing import Any
 
 from filelock import FileLock
 
-from piegraph_cli.dynamics.params import TrainParams
-from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
-from piegraph_cli.evaluation.params import EvaluateParams
+from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params
-from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
-from piegraph_cli.recording.layout import list_sequences
-from piegraph_cli.recording.params import IngestParams
-from piegraph_cli.stages import STAGES, Stage
-from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_header, read_key
-from piegraph_cli.workspace.grid import (
-    evaluate_params,
-    evaluated_names,
-    model_name,
-    model_params,
-    trained_name,
-    trained_names,
-    trial_names,
-    trial_params,
-)
+from piegraph_cli.workspace.artifact import read_artifact, read_header, read_key
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
+from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
 
 
 @dataclass
@@ -38,29 +24,34 @@ class Run:
 
     folder: Path
     recipe: Recipe
-    _keys: dict[tuple[str, str | None], str | None] = field(default_factory=dict)
+    _keys: dict[tuple[str, Unit], str] = field(default_factory=dict)
+    _units: dict[str, list[Unit]] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy in another process works its keys out anew."""
+        return Run, (self.folder, self.recipe)
 
     @classmethod
-    def open(cls, folder: Path, recipe: Recipe | None = None) -> "Run":
+    def open(cls, folder: Path, table: Table, recipe: Recipe | None = None) -> "Run":
         """An existing run, or an empty one where there is none yet; with another recipe than the one it keeps."""
         path = folder / "recipe.toml"
         if folder.exists() and not folder.is_dir():
             raise UsageError("is a file", str(folder), "give --run a folder")
         if recipe is None:
-            recipe = load_recipe(path) if path.exists() else Recipe()
+            recipe = load_recipe(path, table) if path.exists() else Recipe(table)
         return cls(folder, recipe)
 
     def save_recipe(self) -> None:
         """Keep the recipe in force in the run folder."""
         path = self.folder / "recipe.toml"
-        if not path.exists() or load_recipe(path) != self.recipe:
+        if not path.exists() or load_recipe(path, self.recipe.table) != self.recipe:
             self.recipe.save(path)
 
-    def path(self, artifact: str, sequence: str | None) -> Path:
+    def path(self, artifact: str, unit: Unit) -> Path:
         """Where an artifact is."""
-        return self.folder / artifact / f"{sequence}.h5" if sequence else self.folder / f"{artifact}.h5"
+        return self.folder / artifact / f"{unit}.h5" if unit else self.folder / f"{artifact}.h5"
 
-    def checkpoint(self, stage: Stage, unit: str | None) -> Path:
+    def checkpoint(self, stage: Stage, unit: Unit) -> Path:
         """Where a long stage keeps its state until it is done."""
         return self.folder / "checkpoints" / f"{stage.name}.{unit}.h5"
 
@@ -70,116 +61,78 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         return FileLock(folder / f"{name.replace('/', '.')}.lock")
 
-    def producer(self, artifact: str) -> Stage:
-        """The stage of this run's chain that writes an artifact."""
-        return next(stage for stage in self.recipe.chain() if stage.writes == artifact)
-
     @cached_property
-    def sequences(self) -> list[str]:
-        """Names of the run's sequences, from its simulation or its recording; none in a run of trials alone."""
-        first = self.recipe.chain()[0].name
-        if first == "trials":
-            return []
-        if first == "simulate":
-            params = self.recipe.params(STAGES["simulate"])
-            assert isinstance(params, SimulateParams)
-            return [f"sequence_{i:04d}" for i in range(params.sequences)]
-        if not self.recording.exists() and (self.folder / "frames").is_dir():
-            return sorted(path.stem for path in (self.folder / "frames").glob("*.h5"))
-        return [folder.name for folder in list_sequences(self.recording)]
+    def chain(self) -> list[Stage]:
+        """The stages of this run, in order."""
+        return self.recipe.chain()
 
-    @property
-    def recording(self) -> Path:
-        """The recording folder of this run."""
-        params = self.recipe.params(STAGES["ingest"])
-        assert isinstance(params, IngestParams)
-        if params.recording is None:
-            raise UsageError(
-                "this run has no recording", str(self.folder), "piegraph ingest --recording FOLDER --run RUN"
-            )
-        return params.recording
+    def producer(self, artifact: str) -> Stage | None:
+        """The stage of this run's chain that writes an artifact, if one does."""
+        return next((stage for stage in self.chain if stage.writes == artifact), None)
 
-    def units(self, stage: Stage) -> list[str | None]:
+    def params(self, stage: str) -> Any:
+        """The settings of a stage by name, whether it is in this run's chain or not."""
+        return self.recipe.params(self.recipe.table[stage])
+
+    def units(self, stage: Stage) -> list[Unit]:
         """What a stage works through: the run's sequences, its models, its trials, or the run itself (None)."""
-        params = self.recipe.params(stage)
-        if isinstance(params, TrialsParams):
-            return list(trial_names(params))
-        if isinstance(params, TrainParams):
-            return list(trained_names(params))
-        if isinstance(params, EvaluateParams):
-            return list(evaluated_names(params, self._train))
-        return list(self.sequences) if stage.per == "sequence" else [None]
+        if stage.name not in self._units:
+            first = None if stage.units else self.maker(stage.reads[0])
+            self._units[stage.name] = list(stage.units(self)) if stage.units else self.units(first) if first else []
+        return self._units[stage.name]
 
-    @property
-    def _train(self) -> TrainParams:
-        params = self.recipe.params(STAGES["train"])
-        assert isinstance(params, TrainParams)
-        return params
+    def maker(self, artifact: str) -> Stage:
+        """The stage that writes an artifact here, or would if it were in the chain."""
+        writers = [stage for stage in self.recipe.table.values() if stage.writes == artifact]
+        return self.producer(artifact) or writers[0]
 
-    def params(self, stage: Stage, unit: str | None) -> Params:
-        """The settings that one unit of a stage depends on: the stage's, or those of one model or trial alone."""
-        params = self.recipe.params(stage)
-        if unit is not None and isinstance(params, TrialsParams):
-            return trial_params(params, unit, params.trained or self.folder.resolve().parent)
-        if unit is not None and isinstance(params, TrainParams):
-            return model_params(params, unit)
-        if unit is not None and isinstance(params, EvaluateParams):
-            return evaluate_params(params, unit)
-        return params
+    def made(self, artifact: str) -> list[str]:
+        """The units that this run has an artifact of, or can make it of: those that failed are left out."""
+        producer = self.producer(artifact)
+        return [u for u in self.units(producer) if u and not self.failure(producer, u)] if producer else []
 
-    def inputs(self, stage: Stage, unit: str | None) -> list[tuple[str, str | None]]:
-        """The (artifact, unit) files a stage reads; sequences that failed earlier are left out of what reads them all."""
-        chain = {s.writes for s in self.recipe.chain()}
-        names = [n for n in (*stage.reads, *stage.optional) if n in chain or n in stage.reads]
-        files: list[tuple[str, str | None]] = []
-        for name in names:
-            producer = self.producer(name)
-            if producer.per == "run":
-                files.append((name, None))
-            elif producer.per == "model":
-                model = self._model_of(stage, unit)
-                files += [(name, model)] if model else []
-            elif stage.per == "sequence":
-                files.append((name, unit))
-            else:
-                files += [(name, s) for s in self.sequences if not self.failure(producer, s)]
-        return files
+    def settings(self, stage: Stage, unit: Unit) -> Params:
+        """The settings that one unit of a stage depends on."""
+        return stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
 
-    def _model_of(self, stage: Stage, unit: str | None) -> str | None:
-        """The trained model that a unit of `evaluate`, or `plan`, reads."""
-        params = self.recipe.params(stage)
-        if isinstance(params, PlanParams):
-            return trained_name(model_name(params.model, self._train.seeds[0]))
-        return trained_name(str(unit))
+    def inputs(self, stage: Stage, unit: Unit) -> Inputs:
+        """What one unit of a stage reads, by artifact in the order of the stage's record."""
+        return stage.inputs(self, unit) if stage.inputs else dict.fromkeys(stage.reads, unit)
 
-    def key(self, stage: Stage, sequence: str | None) -> str:
+    def files(self, stage: Stage, unit: Unit) -> Iterator[tuple[str, Unit]]:
+        """The (artifact, unit) that one unit of a stage reads, one by one."""
+        for artifact, units in self.inputs(stage, unit).items():
+            yield from ((artifact, u) for u in (units if isinstance(units, list) else [units]))
+
+    def key(self, stage: Stage, unit: Unit) -> str:
         """The key the stage's artifact has when it is fresh: a hash of the stage, its settings and its inputs' keys."""
-        slot = (stage.name, sequence)
+        slot = (stage.name, unit)
         if slot not in self._keys:
-            params = self.params(stage, sequence)
-            settings = params.model_dump(mode="json")
-            gone = [path for path in params.files().values() if not path.exists()]
-            if gone and (kept := self._kept_key(stage, sequence, settings)):
-                self._keys[slot] = kept
-                return kept
-            for name, path in params.files().items():
-                settings[name] = content_hash(path / sequence if path.is_dir() and sequence else path, name)
-            if isinstance(params, TrialParams) and params.network:
-                settings["network"] = read_key(params.network, "model")
-            inputs = [[name, s, self.key(self.producer(name), s)] for name, s in self.inputs(stage, sequence)]
-            unit = sequence if not stage.reads else None
-            text = json.dumps([stage.name, stage.version, unit, settings, inputs], sort_keys=True)
-            self._keys[slot] = hashlib.sha256(text.encode()).hexdigest()
-        return self._keys[slot]  # type: ignore[return-value]
+            self._keys[slot] = self._work_out_key(stage, unit)
+        return self._keys[slot]
 
-    def _kept_key(self, stage: Stage, sequence: str | None, settings: dict[str, Any]) -> str | None:
+    def _work_out_key(self, stage: Stage, unit: Unit) -> str:
+        params = self.settings(stage, unit)
+        settings = params.content()
+        gone = [path for path in params.files().values() if not path.exists()]
+        if gone and (kept := self._kept_key(stage, unit, settings)):
+            return kept
+        for name, path in params.files().items():
+            settings[name] = content_hash(path / unit if path.is_dir() and unit else path, name)
+        for name, (path, artifact) in params.artifacts().items():
+            settings[name] = read_key(path, artifact)
+        inputs = [[name, u, self.key(self.maker(name), u)] for name, u in self.files(stage, unit)]
+        text = json.dumps([stage.name, stage.version, None if stage.reads else unit, settings, inputs], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _kept_key(self, stage: Stage, unit: Unit, settings: dict[str, Any]) -> str | None:
         """The key of an artifact whose source files are gone, if it was made with these settings: it stays usable."""
-        header = read_header(self.path(stage.writes, sequence), stage.writes)
+        header = read_header(self.path(stage.writes, unit), stage.writes)
         return header.key if header and (header.version, header.params) == (stage.version, settings) else None
 
-    def why_stale(self, stage: Stage, sequence: str | None) -> str:
+    def why_stale(self, stage: Stage, unit: Unit) -> str:
         """What differs between a stale artifact and the one that would be made."""
-        path = self.path(stage.writes, sequence)
+        path = self.path(stage.writes, unit)
         header = read_header(path, stage.writes)
         if header is None:
             try:
@@ -189,46 +142,57 @@ class Run:
             return "unreadable"
         if header.version != stage.version:
             return f"made by version {header.version} of the stage, this is version {stage.version}"
-        settings = self.params(stage, sequence).model_dump(mode="json")
+        settings = self.settings(stage, unit).content()
         now, then = (values | values.get("settings", {}) | {"settings": None} for values in (settings, header.params))
         changed = [name for name, value in now.items() if then.get(name) != value]
         return f"settings changed: {', '.join(changed)}" if changed else "what it was made from has changed"
 
-    def state(self, stage: Stage, sequence: str | None) -> str:
-        """`fresh`, `stale`, `missing` or `failed`."""
-        stored = read_key(self.path(stage.writes, sequence), stage.writes)
-        if stored is not None and stored == self.key(stage, sequence):
-            return "fresh"
-        if self.failure(stage, sequence):
-            return "failed"
-        return "stale" if self.path(stage.writes, sequence).exists() else "missing"
+    def fresh(self, stage: Stage, unit: Unit) -> bool:
+        """Whether the artifact is there and is what would be made."""
+        stored = read_key(self.path(stage.writes, unit), stage.writes)
+        return stored is not None and stored == self.key(stage, unit)
 
-    def failure(self, stage: Stage, sequence: str | None) -> str | None:
-        """Why this stage, or one before it, failed on a sequence with the settings in force; None where none did."""
-        for earlier in self.recipe.chain():
-            record = self.failures.get(f"{earlier.name}/{sequence}")
-            if earlier.per == stage.per and record and record["key"] == self.key(earlier, sequence):
-                return record["message"]
-            if earlier == stage:
-                break
-        return None
+    def state(self, stage: Stage, unit: Unit) -> str:
+        """`fresh`, `stale`, `missing` or `failed`."""
+        if self.fresh(stage, unit):
+            return "fresh"
+        if self.failure(stage, unit):
+            return "failed"
+        return "stale" if self.path(stage.writes, unit).exists() else "missing"
+
+    def failure(self, stage: Stage, unit: Unit) -> str | None:
+        """Why this stage, or one before it on the unit of the same name, failed with the settings in force, if one did.
+
+        What is fresh has not failed, whatever was tried since.
+        """
+        record = self.failures.get(f"{stage.name}/{unit}")
+        if record and record["key"] == self.key(stage, unit) and not self.fresh(stage, unit):
+            return record["message"]
+        return self.failed_before(stage, unit)
+
+    def failed_before(self, stage: Stage, unit: Unit) -> str | None:
+        """Why a stage that this one depends on failed on the unit of the same name, if one did."""
+        if not self.failures or unit is None:
+            return None
+        before = (self.producer(name) for name, u in self.files(stage, unit) if u == unit)
+        return next((why for earlier in before if earlier and (why := self.failure(earlier, unit))), None)
 
     @cached_property
     def failures(self) -> dict[str, dict[str, Any]]:
-        """Recorded failures by `stage/sequence`."""
+        """Recorded failures by `stage/unit`."""
         try:
             return json.loads((self.folder / "failures.json").read_text())
         except (OSError, ValueError):
             return {}
 
-    def record_failures(self, stage: Stage, failed: dict[str | None, PiegraphError]) -> None:
-        """Replace the failures recorded for a stage."""
+    def record_failures(self, stage: Stage, tried: list[Unit], failed: Mapping[Unit, PiegraphError]) -> None:
+        """Replace the failures recorded for the units of a stage that were tried."""
         with self.lock("failures.json"):
             self.__dict__.pop("failures", None)
-            kept = {place: record for place, record in self.failures.items() if not place.startswith(f"{stage.name}/")}
-            for sequence, error in failed.items():
-                record = {"key": self.key(stage, sequence), "message": str(error)}
-                kept[f"{stage.name}/{sequence}"] = record
+            places = {f"{stage.name}/{unit}" for unit in tried}
+            kept = {place: record for place, record in self.failures.items() if place not in places}
+            for unit, error in failed.items():
+                kept[f"{stage.name}/{unit}"] = {"key": self.key(stage, unit), "message": str(error)}
             if kept != self.failures:
                 with atomic_file(self.folder / "failures.json") as temporary:
                     temporary.write_text(json.dumps(kept, indent=1))

@@ -9,12 +9,11 @@ import torch
 from piegraph_cli.dynamics import gbnd, pgnd, sms
 from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, move_in_plane, planar_motions
-from piegraph_cli.dynamics.models import MODELS, Trained, make_predict
+from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
 from piegraph_cli.dynamics.params import LEARNED, TRAINED_AS, ModelName, PredictionParams, SMSParams, trained_label
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.physics import simulation
 from piegraph_cli.physics.springs import build_springs
-from piegraph_cli.stages.train import make_network
 
 SMALL = {"piegraph": {"hidden": 8, "layers": 2}, "pgnd": {"rollout": 2}, "gbnd": {"hidden": 16, "rollout": 2}}
 

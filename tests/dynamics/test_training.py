@@ -6,10 +6,10 @@ import torch
 
 from piegraph_cli.dynamics.examples import Pairs
 from piegraph_cli.dynamics.losses import dynamics_loss
+from piegraph_cli.dynamics.models import make_network
 from piegraph_cli.dynamics.params import EGNNParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError
-from piegraph_cli.stages.train import make_network
 
 PARAMS = EGNNParams(hidden=8, layers=2, steps=30)
 

@@ -8,8 +8,8 @@ import pytest
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.timing import align_frames
-from piegraph_cli.stages import STAGES
-from piegraph_cli.stages.ingest import cameras_of, color_of, depth_of
+from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
@@ -19,9 +19,9 @@ from tests.stages.make_recording import make_recording
 
 
 def ingest(recording, folder, **settings):
-    run = Run(folder, Recipe({"ingest": {"recording": str(recording), **settings}}))
+    run = Run(folder, Recipe(STAGES, {"ingest": {"recording": str(recording), **settings}}))
     run.save_recipe()
-    return run_stage(folder, STAGES["ingest"], Options())
+    return run_stage(run, STAGES["ingest"], Options())
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def test_a_broken_sequence_is_named_and_the_other_is_still_read(recording, tmp_p
     assert isinstance(failed.error, DataError)
     assert message in str(failed.error)
     assert "seq 0" in str(failed.error)
-    assert Run.open(tmp_path / "run").state(STAGES["ingest"], "seq 0") == "failed"
+    assert open_run(tmp_path / "run").state(STAGES["ingest"], "seq 0") == "failed"
 
 
 def test_missing_recording_and_cameras(recording, tmp_path):
@@ -187,7 +187,7 @@ def test_a_repaired_sequence_is_no_failure_any_more(recording, tmp_path):
     ingest(recording, tmp_path / "run")
     stamps.write_text(kept)
     assert [o.state for o in ingest(recording, tmp_path / "run")] == ["done", "cached"]
-    assert Run.open(tmp_path / "run").failure(STAGES["ingest"], "seq 0") is None
+    assert open_run(tmp_path / "run").failure(STAGES["ingest"], "seq 0") is None
 
 
 def test_resampling_takes_the_nearest_frames_once_each():

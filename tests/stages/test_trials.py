@@ -13,10 +13,9 @@ import pytest
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.evaluation.metrics import chamfer_distance
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
-from piegraph_cli.workspace.grid import trial_params
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 from tests.cli import piegraph, piegraph_json
@@ -38,12 +37,12 @@ def runs(tiny_run, tmp_path):
 
 def play(folder, **settings):
     """States of the grid's trials by name, after running what is not fresh."""
-    outcomes = run_stage(folder, STAGE, Options(recipe=Recipe({"trials": SMALL | settings})))
+    outcomes = run_stage(Run(folder, Recipe(STAGES, {"trials": SMALL | settings})), STAGE, Options())
     return {o.sequence: o.state for o in outcomes}, {o.sequence: o.error for o in outcomes if o.error}
 
 
 def keys(folder, **settings):
-    run = Run(folder, Recipe({"trials": SMALL | settings}))
+    run = Run(folder, Recipe(STAGES, {"trials": SMALL | settings}))
     return {name: run.key(STAGE, name) for name in run.units(STAGE)}
 
 
@@ -115,15 +114,15 @@ def test_keys_follow_the_network_and_the_planning_settings_of_the_trained_run(ru
 def test_starts_take_turns_with_the_seeds_of_the_trained_run(runs):
     text = (runs / "tblock" / "recipe.toml").read_text()
     (runs / "tblock" / "recipe.toml").write_text(text.replace("[train]", "[train]\nseeds = [4, 7]"))
-    run = Run(runs / "paper", Recipe({"trials": SMALL | {"models": ["piegraph-ng@20", "sms-no"], "seeds": 3}}))
-    found = [run.params(STAGE, name).network for name in run.units(STAGE)]
+    run = Run(runs / "paper", Recipe(STAGES, {"trials": SMALL | {"models": ["piegraph-ng@20", "sms-no"], "seeds": 3}}))
+    found = [run.settings(STAGE, name).network for name in run.units(STAGE)]
     names = [f"piegraph@20.seed{seed}.h5" for seed in (4, 7, 4)]
     assert [path and path.name for path in found] == [n for name in names for n in (name, None)]
 
 
 def test_greedy_is_a_planner_without_a_network(runs):
-    run = Run(runs / "paper", Recipe({"trials": SMALL | {"envs": ["tshirt"], "models": ["greedy"]}}))
-    params = trial_params(run.recipe.params(STAGE), "tshirt.greedy.goal03.seed12", runs)
+    run = Run(runs / "paper", Recipe(STAGES, {"trials": SMALL | {"envs": ["tshirt"], "models": ["greedy"]}}))
+    params = run.settings(STAGE, "tshirt.greedy.goal03.seed12")
     assert (params.goal, params.seed, params.network) == (3, 12, None)
     assert (params.plan.planner, params.plan.model, params.plan.env) == ("greedy", "static", "tshirt")
 
@@ -167,7 +166,7 @@ def test_a_simulation_that_diverges_fails_its_trial_and_the_rest_goes_on(runs, m
     states, failed = play(runs / "paper", models=["static"], seeds=3)
     assert list(states.values()) == ["done", "failed", "done"]
     assert "the simulation diverged" in str(failed["tblock.static.goal00.seed01"])
-    run = Run.open(runs / "paper", Recipe({"trials": SMALL | {"models": ["static"], "seeds": 3}}))
+    run = open_run(runs / "paper", Recipe(STAGES, {"trials": SMALL | {"models": ["static"], "seeds": 3}}))
     assert run.state(STAGE, "tblock.static.goal00.seed01") == "failed"
 
 
@@ -213,8 +212,8 @@ def test_killed_trials_go_on(runs):
     found = piegraph_json(*arguments)
     assert [row["trials"] for row in found["results"]] == [2, 2, 2]
     assert not list(runs.rglob("*.tmp"))
-    others = Run(runs / "other", Recipe({"trials": SMALL | {"models": ["piegraph", "piegraph-ng", "static"]}}))
-    run_stage(others.folder, STAGE, Options(recipe=others.recipe))
+    others = Run(runs / "other", Recipe(STAGES, {"trials": SMALL | {"models": ["piegraph", "piegraph-ng", "static"]}}))
+    run_stage(others, STAGE, Options())
     for path in (others.folder / "trials").iterdir():
         one, other = read_artifact(path, "trials"), read_artifact(runs / "paper" / "trials" / path.name, "trials")
         assert one.key == other.key
@@ -244,10 +243,10 @@ def test_the_command_prints_one_object_and_the_report_has_pictures(runs):
 
 
 def test_trials_come_last_in_a_recipe_that_trains():
-    simulated = Recipe({"simulate": {}, "trials": {}})
+    simulated = Recipe(STAGES, {"simulate": {}, "trials": {}})
     assert [stage.name for stage in simulated.chain()] == ["simulate", "dataset", "train", "evaluate", "trials"]
-    assert [stage.name for stage in Recipe({"trials": {}}).chain()] == ["trials"]
-    assert "trials" not in [stage.name for stage in Recipe({"simulate": {}}).chain()]
+    assert [stage.name for stage in Recipe(STAGES, {"trials": {}}).chain()] == ["trials"]
+    assert "trials" not in [stage.name for stage in Recipe(STAGES, {"simulate": {}}).chain()]
 
 
 def test_options_that_an_environment_lacks_are_refused_before_anything_runs(runs):

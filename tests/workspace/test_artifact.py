@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.workspace.artifact import atomic_file, read_artifact, read_key, write_artifact
+from piegraph_cli.files import atomic_file
+from piegraph_cli.workspace.artifact import read_artifact, read_key, write_artifact
 from piegraph_cli.workspace.schema import SCHEMA_VERSION
 
 

@@ -16,6 +16,7 @@ from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
+from piegraph_cli.workspace.run import Run
 from tests.cli import piegraph
 
 SETTINGS = {"envs": ["tblock"], "models": ["piegraph"], "goals": 3, "seeds": 4, "strokes": 6}
@@ -104,7 +105,7 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     assert [row["trials"] for row in found["results"]] == [12], "each trial once in the results"
     assert found["failed"] == []
     alone = runs / "alone"
-    run_stage(alone, STAGES["trials"], Options(recipe=Recipe({"trials": SETTINGS})))
+    run_stage(Run(alone, Recipe(STAGES, {"trials": SETTINGS})), STAGES["trials"], Options())
     for name in names:
         one, other = read_artifact(done / name, "trials"), read_artifact(alone / "trials" / name, "trials")
         assert one.key == other.key

@@ -11,7 +11,7 @@ import pytest
 from piegraph_cli.dynamics.params import ModelName
 from piegraph_cli.environments.params import EnvironmentName
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage, run_unit, status
 from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting, shipped
@@ -21,7 +21,7 @@ from tests.stages.make_recording import make_recording
 
 
 def run_of(folder, **sections) -> Run:
-    return Run(folder, Recipe(sections))
+    return Run(folder, Recipe(STAGES, sections))
 
 
 def test_a_key_changes_with_setting_version_and_input_and_with_nothing_else(tmp_path, monkeypatch):
@@ -59,11 +59,11 @@ def test_a_recording_is_known_by_its_content(tmp_path):
 def test_a_changed_setting_makes_only_what_depends_on_it_stale(tiny_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(tiny_run, folder)
-    assert {row["state"] for row in status(folder)} == {"fresh"}
-    run = Run.open(folder)
+    assert {row["state"] for row in status(open_run(folder))} == {"fresh"}
+    run = open_run(folder)
     run.recipe = run.recipe.with_values(STAGES["train"], {"piegraph.steps": 5}, "test", folder)
     run.save_recipe()
-    states = {row["stage"]: row["state"] for row in status(folder)}
+    states = {row["stage"]: row["state"] for row in status(open_run(folder))}
     assert states == dict.fromkeys(("simulate", "dataset"), "fresh") | dict.fromkeys(
         ("train", "evaluate", "plan"), "stale"
     )
@@ -73,7 +73,7 @@ def test_stale_inputs_are_not_used(tiny_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(tiny_run, folder)
     (folder / "model" / "piegraph.seed0.h5").write_bytes(b"cut off")
-    outcome = run_stage(folder, STAGES["evaluate"], Options(force=True))[0]
+    outcome = run_stage(open_run(folder), STAGES["evaluate"], Options(force=True))[0]
     assert outcome.error is not None
     assert "model is stale" in str(outcome.error)
     assert "--until train" in outcome.error.hint
@@ -85,8 +85,10 @@ def test_a_second_process_waits_and_then_finds_it_done(tiny_run, tmp_path):
     dataset = folder / "dataset.h5"
     dataset.rename(tmp_path / "kept.h5")
     outcomes = []
-    with Run.open(folder).lock("dataset"):
-        thread = threading.Thread(target=lambda: outcomes.append(run_unit(folder, "dataset", None, Options())))
+    with open_run(folder).lock("dataset"):
+        thread = threading.Thread(
+            target=lambda: outcomes.append(run_unit(open_run(folder), STAGES["dataset"], None, Options()))
+        )
         thread.start()
         time.sleep(0.5)
         assert not outcomes
@@ -120,7 +122,7 @@ def test_a_wrong_recipe_is_refused_by_name(tmp_path, text, message):
     path = tmp_path / "r.toml"
     path.write_text(text)
     with pytest.raises(UsageError, match=message) as caught:
-        load_recipe(path)
+        load_recipe(path, STAGES)
     assert str(path) in str(caught.value)
 
 
@@ -128,27 +130,27 @@ def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
     (tmp_path / "rec").mkdir()
     path = tmp_path / "r.toml"
     path.write_text('[ingest]\nrecording = "rec"\n[plan]\ngoal = "rec/goal.ply:3"\n')
-    recipe = load_recipe(path)
+    recipe = load_recipe(path, STAGES)
     assert recipe.params(STAGES["ingest"]).recording == tmp_path / "rec"
     assert recipe.params(STAGES["plan"]).goal == f"{tmp_path}/rec/goal.ply:3"
 
 
 def test_a_new_question_forgets_the_old_one(tmp_path):
-    recipe = Recipe({"plan": {"env": "tblock", "goal": "a.ply", "samples": 20}})
+    recipe = Recipe(STAGES, {"plan": {"env": "tblock", "goal": "a.ply", "samples": 20}})
     recipe = recipe.with_values(STAGES["plan"], {"state": "now.ply"}, "test", tmp_path)
     assert recipe.sections["plan"] == {"samples": 20, "state": str(tmp_path / "now.ply")}
 
 
 def test_a_recording_that_was_moved_away_leaves_its_artifacts_usable(tmp_path):
     recording = make_recording(tmp_path / "rec")
-    run = Run(tmp_path / "run", Recipe({"ingest": {"recording": str(recording)}}))
+    run = Run(tmp_path / "run", Recipe(STAGES, {"ingest": {"recording": str(recording)}}))
     run.save_recipe()
-    run_stage(run.folder, STAGES["ingest"], Options())
+    run_stage(run, STAGES["ingest"], Options())
     recording.rename(tmp_path / "elsewhere")
-    moved = Run.open(run.folder)
-    assert moved.sequences == ["seq 0", "seq 1"]
-    assert [moved.state(STAGES["ingest"], s) for s in moved.sequences] == ["fresh", "fresh"]
-    other = Run(run.folder, Recipe({"ingest": {"recording": str(tmp_path / "none")}}))
+    moved = open_run(run.folder)
+    assert sequences(moved) == ["seq 0", "seq 1"]
+    assert [moved.state(STAGES["ingest"], s) for s in sequences(moved)] == ["fresh", "fresh"]
+    other = Run(run.folder, Recipe(STAGES, {"ingest": {"recording": str(tmp_path / "none")}}))
     with pytest.raises(DataError, match="no such file or folder"):
         other.key(STAGES["ingest"], "seq 0")
 
@@ -162,14 +164,14 @@ def test_the_names_in_settings_are_those_of_the_tables():
 
 
 def test_settings_from_the_command_line():
-    stage, setting, value = parse_setting("track.damping=0.7")
+    stage, setting, value = parse_setting("track.damping=0.7", STAGES)
     assert (stage.name, setting, value) == ("track", "damping", 0.7)
-    assert parse_setting("evaluate.models=static,piegraph")[2] == "static,piegraph"
+    assert parse_setting("evaluate.models=static,piegraph", STAGES)[2] == "static,piegraph"
     with pytest.raises(UsageError):
-        parse_setting("damping=0.7")
+        parse_setting("damping=0.7", STAGES)
 
 
 def test_shipped_recipes_load():
     assert {"tblock", "demo"} <= set(shipped())
     for name in shipped():
-        assert load_recipe(find_recipe(name)).chain()
+        assert load_recipe(find_recipe(name), STAGES).chain()

@@ -12,13 +12,13 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import figures, overlays, trial_figures
 from piegraph_cli.evaluation.tables import score_values, summarise
 from piegraph_cli.evaluation.trials import compare_trials
-from piegraph_cli.planning.params import TrialsParams
+from piegraph_cli.files import atomic_file
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.stages.evaluate import read_metrics
-from piegraph_cli.stages.ingest import cameras_of, color_of
+from piegraph_cli.stages.images import cameras_of, color_of
 from piegraph_cli.stages.trials import read_trials
-from piegraph_cli.workspace.artifact import Artifact, atomic_file, read_artifact, read_key
+from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
 from piegraph_cli.workspace.run import Run
 
 SEQUENCES = 4
@@ -35,7 +35,7 @@ def draw_report(folder: Path) -> list[Path]:
 
     Raises `DataError` when there is nothing to draw.
     """
-    run, out = Run.open(folder), folder / "report"
+    run, out = open_run(folder), folder / "report"
     drawn, index = _read_index(out), {}
     for group, sequence, artifacts, draw in _groups(run):
         keys = {f"{name} {unit}": key for name, unit in artifacts if (key := read_key(run.path(name, unit), name))}
@@ -68,15 +68,15 @@ Group = tuple[str, str | None, list[tuple[str, str | None]], Callable[..., Itera
 
 def _groups(run: Run) -> Iterator[Group]:
     """Groups of pictures: name, sequence, the (artifact, unit) files they show, and what draws them."""
-    for sequence in run.sequences[:SEQUENCES]:
+    for sequence in sequences(run)[:SEQUENCES]:
         names = ("frames", "hands", "masks", "clouds", "tracks", "scores")
         yield sequence, sequence, [(name, sequence) for name in names], _sequence_pictures
-    chain = run.recipe.chain()
+    chain = run.chain
     if STAGES["train"] in chain:
         for unit in run.units(STAGES["train"]):
             yield f"model {unit}", unit, [("model", unit)], _model_pictures
         read = [("metrics", unit) for unit in run.units(STAGES["evaluate"])]
-        read += [("scores", name) for name in run.sequences if STAGES["score"] in chain]
+        read += [("scores", name) for name in run.made("scores")]
         yield "metrics", None, read, _metrics_pictures
     yield "plan", None, [("plan", None)], _plan_pictures
     trials = STAGES["trials"]
@@ -109,8 +109,7 @@ def _plan_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
 
 
 def _trial_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
-    params = run.recipe.params(STAGES["trials"])
-    assert isinstance(params, TrialsParams)
+    params = run.params("trials")
     trials, limits = read_trials(run), params.thresholds
     if trials:
         compared = compare_trials(trials, limits)

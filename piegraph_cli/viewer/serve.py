@@ -7,8 +7,8 @@ import numpy as np
 
 from piegraph_cli.errors import DataError, MissingError, UsageError
 from piegraph_cli.evaluation.figures import particle_colors
+from piegraph_cli.stages import open_run, sequences
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
-from piegraph_cli.workspace.run import Run
 
 
 def serve(folder: Path, sequence: str | None, port: int) -> None:
@@ -17,10 +17,11 @@ def serve(folder: Path, sequence: str | None, port: int) -> None:
         import viser
     except ImportError:
         raise MissingError("viser is not installed", hint="pip install 'piegraph[view]'") from None
-    run = Run.open(folder)
-    name = sequence or run.sequences[0]
-    if name not in run.sequences:
-        raise UsageError(f"no sequence {name}", str(folder), f"one of {', '.join(run.sequences)}")
+    run = open_run(folder)
+    names = sequences(run)
+    name = sequence or names[0]
+    if name not in names:
+        raise UsageError(f"no sequence {name}", str(folder), f"one of {', '.join(names)}")
     shown = [read_artifact(p, a) for a in ("clouds", "tracks") if (p := run.path(a, name)).exists()]
     if not shown:
         raise DataError("no clouds or tracks to show", str(folder), f"piegraph run --run {folder} --until track")

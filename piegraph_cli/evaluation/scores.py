@@ -1,0 +1,43 @@
+"""The figures of a simulated recording's perception and tracking against its truth."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from piegraph_cli.evaluation.truth import hand_scores, mask_iou, surface_distance, track_errors
+from piegraph_cli.recording.images import ImageStack
+
+CLOUD_EVERY = 3
+"""Every how many frames cloud and masks are scored."""
+
+AT_ENDS = "tracked particles at stroke ends [mm]"
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def score_sequence(
+    inputs: Mapping[str, Arrays], truth: Arrays, true: np.ndarray, rows: np.ndarray
+) -> Iterator[tuple[str, float]]:
+    """Named scores, one value per frame, image or particle set.
+
+    From the arrays of frames, hands, masks, clouds and tracks, the truth, the true particles [F, N, 3] (m), and the
+    recording's frame [F] that each frame was taken from.
+    """
+    frames, hands, masks, clouds, tracks = (inputs[n] for n in ("frames", "hands", "masks", "clouds", "tracks"))
+    for name, values in hand_scores(hands["seen"], hands["end_effector"], truth["end_effector"][rows]).items():
+        yield from ((name, value) for value in values)
+    cameras = len(frames["camera_name"])
+    found = ImageStack(masks["mask"], masks["mask_offsets"], cameras, "mask")
+    real = ImageStack(truth["object_mask"], truth["object_mask_offsets"], cameras, "true mask")
+    for frame in range(0, len(rows), CLOUD_EVERY):
+        for camera in range(cameras):
+            yield "object mask IoU", mask_iou(found.mask(frame, camera), real.mask(int(rows[frame]), camera))
+        points = clouds["points"][clouds["offsets"][frame] : clouds["offsets"][frame + 1]]
+        if len(points):
+            distances = surface_distance(points, truth["vertices"][rows[frame]], truth["triangles"])
+            yield "fused cloud to surface, median [mm]", float(np.median(distances)) * 1000
+    errors = track_errors(tracks["positions"], true)
+    stroke = truth["stroke"][rows]
+    ends = np.flatnonzero((stroke >= 0) & (stroke != np.append(stroke[1:], -1)))
+    yield from ((AT_ENDS, errors[end]) for end in ends)
+    yield from (("tracked particles, all frames [mm]", error) for error in errors)

@@ -1,0 +1,39 @@
+"""Predictions over windows of held-out strokes, measured."""
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.models import Trained, make_predict
+from piegraph_cli.evaluation.metrics import SHAPE_RADIUS, chamfer_distance, particle_distance, shape_error
+from piegraph_cli.evaluation.params import ModelEvaluateParams
+from piegraph_cli.physics.springs import build_springs
+
+
+def window_metrics(
+    sequence: dict[str, np.ndarray], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
+):
+    """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
+
+    `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2]; `true` [F, N, 3] (m) or None.
+    """
+    count = len(sequence["strokes"])
+    edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
+    rest, strokes = (torch.as_tensor(sequence[name], dtype=torch.float32) for name in ("rest", "strokes"))
+    predict = make_predict(params.label, trained, rest, params)
+    positions = torch.as_tensor(sequence["before"])
+    for horizon in range(1, min(max(params.horizons), count) + 1):
+        windows = count - horizon + 1
+        positions = predict(positions[:windows], strokes[horizon - 1 :])
+        if horizon not in params.horizons:
+            continue
+        for window in range(windows):
+            last = window + horizon - 1
+            found, target = positions[window].numpy(), sequence["after"][last]
+            metrics = [
+                chamfer_distance(found, target),
+                shape_error(found, target, edges),
+                particle_distance(found, target),
+            ]
+            at_end = None if true is None else true[sequence["frames"][last, 1]]
+            metrics.append(float("nan") if at_end is None else particle_distance(found, at_end))
+            yield horizon, window, *metrics

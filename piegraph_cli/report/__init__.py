@@ -1,0 +1,1 @@
+"""Pictures of every stage of a run."""

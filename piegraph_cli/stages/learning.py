@@ -1,0 +1,68 @@
+"""What stages read of a dataset and of a trained model."""
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.models import Trained, make_network
+from piegraph_cli.dynamics.params import LEARNED, split_label
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import PICK
+from piegraph_cli.workspace.artifact import Artifact
+
+
+def read_sequences(data: Artifact, split: int, count: int | None = None, seed: int = 0) -> Sequences:
+    """The sequences of one split, or `count` of them, which the seed chooses. Raises `UsageError` for more than there are."""
+    chosen = np.flatnonzero(data["sequence_split"] == split)
+    if count is not None and count > len(chosen):
+        raise UsageError(
+            f"{len(chosen)} sequences to train on, {count} are asked for",
+            str(data.path),
+            "a larger dataset.train, or a smaller number after @",
+        )
+    if count is not None:
+        chosen = np.sort(np.random.default_rng([seed, count]).permutation(chosen)[:count])
+    strokes = np.flatnonzero(np.isin(data["stroke_sequence"], chosen))
+    pairs = np.isin(data["pair_stroke"], strokes)
+    return Sequences(
+        positions=data["positions"],
+        hand=data["end_effector"],
+        strokes=data["strokes"][strokes],
+        mode=data["stroke_mode"][strokes],
+        owner=np.searchsorted(chosen, data["stroke_sequence"][strokes]),
+        rest=data["positions"][data["sequence_start"][chosen]],
+        pairs=data["pairs"][pairs],
+        pair_stroke=np.searchsorted(strokes, data["pair_stroke"][pairs]),
+    )
+
+
+def read_model(model: Artifact) -> Trained:
+    """What a model artifact holds. Raises `DataError` where the weights do not fit its settings."""
+    name = split_label(model.params["label"])[0]
+    settings = LEARNED[name].model_validate(model.params["settings"])
+    network = make_network(name, settings, PICK in model["modes"], model.params["seed"])
+    weights = {
+        n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")
+    }
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise DataError(f"weights do not fit: {reason}", str(model.path), "piegraph train --force") from None
+    return Trained(network.eval().requires_grad_(False), settings, float(model["pace"]))
+
+
+def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
+    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S, 5], `frames` [S, 2]."""
+    chosen = data["stroke_sequence"] == index
+    first, last = data["strokes"][chosen].T
+    hand = data["end_effector"]
+    start = int(data["sequence_start"][index])
+    return {
+        "rest": data["positions"][start],
+        "before": data["positions"][first],
+        "after": data["positions"][last],
+        "strokes": make_strokes(hand[first], hand[last], data["stroke_mode"][chosen]).numpy(),
+        "frames": np.stack([first, last], 1) - start,
+    }

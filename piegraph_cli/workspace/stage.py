@@ -1,0 +1,88 @@
+"""What a workspace knows of a stage: one frozen record, whose functions say how its units are named and what they depend on.
+
+The stages themselves are in `stages/`, each in a module of its own; nothing here knows one by name.
+"""
+
+import importlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from piegraph_cli.params import Params
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from piegraph_cli.workspace.execute import Checkpoint
+    from piegraph_cli.workspace.run import Run
+
+Unit = str | None
+"""What a stage makes one artifact of, by name: a sequence, a model, a trial; None where it is the run as a whole."""
+
+Inputs = dict[str, Unit | list[str]]
+"""What a unit reads, by artifact: of one unit, or of a list of units."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the pipeline: what it reads and writes, its units and their settings, and where its code is."""
+
+    name: str
+    help: str
+    reads: tuple[str, ...]
+    """Artifacts; a stage that reads none is a source."""
+    writes: str
+    params: type[Params]
+    version: int
+    run: str
+    """`module:function`, called as `function(inputs, settings of the unit, context) -> Output`."""
+    unit: str = "sequence"
+    """What a unit is, in a word."""
+    optional: tuple[str, ...] = ()
+    """Artifacts read as well where the run has them."""
+    on_demand: bool = False
+    """Whether a recipe has to name it."""
+    units: Callable[["Run"], Sequence[Unit]] | None = None
+    """The units of a run; by default those of the stage that writes what is read first."""
+    settings: Callable[["Run", str], Params] | None = None
+    """The settings that one unit depends on; by default the stage's."""
+    inputs: Callable[["Run", Unit], Inputs] | None = None
+    """What one unit reads; by default what is read of the unit of the same name."""
+    command: Callable[["Run", Unit], str] | None = None
+    """The command that makes one unit, for hints; by default a run of the recipe up to this stage."""
+
+    def load(self) -> Callable[..., "Output"]:
+        """Import the stage's function."""
+        module, function = self.run.split(":")
+        return getattr(importlib.import_module(module), function)
+
+
+Table = Mapping[str, Stage]
+"""All stages by name, in the order of the pipeline; the first source is that of a recipe that names none."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a stage returns: arrays by dataset name, one line on their quality, and warnings with the next step."""
+
+    arrays: Mapping[str, "np.ndarray"]
+    quality: str
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a stage may use beside its inputs and settings."""
+
+    run: "Run"
+    unit: Unit
+    device: str
+    checkpoint: "Checkpoint"
+    quiet: bool
+
+    def progress(self, items: Iterable, what: str, total: int | None = None) -> Iterator:
+        """The items, with a progress bar on stderr where that is a terminal."""
+        from tqdm import tqdm
+
+        name = f"{what} {self.unit}" if self.unit else what
+        yield from tqdm(items, desc=name, total=total, leave=False, disable=None if not self.quiet else True, delay=1)

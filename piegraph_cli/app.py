@@ -451,7 +451,8 @@ def reproduce(
 
     Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
     """
-    from piegraph_cli.experiments.run import load_experiment, names, run_experiment, write_report
+    from piegraph_cli.experiments.recipes import load_experiment, names
+    from piegraph_cli.experiments.run import run_experiment, write_report
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")

@@ -10,7 +10,7 @@ from piegraph_cli.errors import UsageError
 from piegraph_cli.evaluation.statistics import bootstrap_grid
 from piegraph_cli.evaluation.tables import difference, sequence_means, summarise
 from piegraph_cli.experiments.params import ExperimentParams
-from piegraph_cli.experiments.run import load_experiment, names, recipe_of, trial_recipe
+from piegraph_cli.experiments.recipes import load_experiment, names, recipe_of, trial_recipe
 from piegraph_cli.planning.params import TrialsParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.train import model_names, trained_name

@@ -11,7 +11,7 @@ from piegraph_cli.evaluation import trial_figures
 from piegraph_cli.evaluation.tables import Metrics, summarise
 from piegraph_cli.evaluation.trials import compare_trials
 from piegraph_cli.experiments.params import ExperimentParams
-from piegraph_cli.experiments.run import Results
+from piegraph_cli.experiments.results import Results
 from piegraph_cli.experiments.tables import plain_metrics, plain_trials
 from piegraph_cli.workspace.artifact import Artifact
 

@@ -8,7 +8,7 @@ import numpy as np
 from piegraph_cli.evaluation.tables import Metrics, difference, interval, sequence_means, summarise
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
 from piegraph_cli.experiments.params import ExperimentParams
-from piegraph_cli.experiments.run import Results
+from piegraph_cli.experiments.results import Results
 
 
 def describe(params: ExperimentParams, results: Results) -> tuple[dict[str, Any], list[str]]:

@@ -92,17 +92,22 @@ def build_sam(model: str) -> Any:
             input_image_size=(size.image_size, size.image_size),
             mask_in_chans=16,
         ),
-        mask_decoder=parts.MaskDecoder(
-            num_multimask_outputs=3,
-            transformer=parts.TwoWayTransformer(
-                depth=2, embedding_dim=size.prompt_width, mlp_dim=size.decoder_mlp, num_heads=size.decoder_heads
-            ),
-            transformer_dim=size.prompt_width,
-            iou_head_depth=3,
-            iou_head_hidden_dim=size.prompt_width,
-        ),
+        mask_decoder=_mask_decoder(parts, size),
         pixel_mean=[123.675, 116.28, 103.53],
         pixel_std=[58.395, 57.12, 57.375],
+    )
+
+
+def _mask_decoder(parts: Any, size: SamSize) -> Any:
+    transformer = parts.TwoWayTransformer(
+        depth=2, embedding_dim=size.prompt_width, mlp_dim=size.decoder_mlp, num_heads=size.decoder_heads
+    )
+    return parts.MaskDecoder(
+        num_multimask_outputs=3,
+        transformer=transformer,
+        transformer_dim=size.prompt_width,
+        iou_head_depth=3,
+        iou_head_hidden_dim=size.prompt_width,
     )
 
 

@@ -32,22 +32,9 @@ def read_sequence(
     time, source = align_frames(times, params.fps, params.max_skew, str(folder))
     if len(time) < 2:
         raise DataError("one frame: nothing can be seen to move", str(folder), "record longer, or remove this sequence")
-    color, depth, blind = [], [], np.zeros((len(time), len(cameras)), bool)
-    for frame in progress(range(len(time))):
-        for c, camera in enumerate(cameras):
-            color_file, depth_file = files[camera.name][source[frame, c]]
-            color.append(read_color(color_file, camera))
-            image = read_depth(depth_file, camera)
-            blind[frame, c] = not image.any()
-            depth.append(depth_file.read_bytes())
+    images, blind = _read_images(cameras, files, source, progress)
     _check_depth(folder, cameras, blind)
-    data, offsets = join_images(color)
-    depth_data, depth_offsets = join_images(depth)
-    arrays = {
-        "color": data,
-        "color_offsets": offsets,
-        "depth": depth_data,
-        "depth_offsets": depth_offsets,
+    arrays = images | {
         "time": time,
         "source_frame": source,
         "camera_name": np.array([c.name for c in cameras]),
@@ -62,6 +49,27 @@ def read_sequence(
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
     return arrays, warnings
+
+
+def _read_images(
+    cameras: list[Camera],
+    files: dict[str, list[tuple[Path, Path]]],
+    source: np.ndarray,
+    progress: Callable[[Iterable[int]], Iterable[int]],
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Encoded images of the frames `source` [F, C], and which depth images [F, C] have no reading."""
+    color, depth, blind = [], [], np.zeros(source.shape, bool)
+    for frame in progress(range(len(source))):
+        for c, camera in enumerate(cameras):
+            color_file, depth_file = files[camera.name][source[frame, c]]
+            color.append(read_color(color_file, camera))
+            image = read_depth(depth_file, camera)
+            blind[frame, c] = not image.any()
+            depth.append(depth_file.read_bytes())
+    data, offsets = join_images(color)
+    depth_data, depth_offsets = join_images(depth)
+    names = ("color", "color_offsets", "depth", "depth_offsets")
+    return dict(zip(names, (data, offsets, depth_data, depth_offsets), strict=True)), blind
 
 
 def _check_counts(folder: Path, times: dict[str, np.ndarray], files: dict[str, list]) -> None:

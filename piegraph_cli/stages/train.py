@@ -12,6 +12,7 @@ from piegraph_cli.errors import MissingError
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
+    from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.workspace.run import Run
 
 RECORDS = 20
@@ -105,9 +106,25 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     validation = learner.examples(held_out, settings, device) if len(held_out.strokes) else None
     network = make_network(name, settings, data.picks, params.seed)
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
+    _fit(trainer, params, context)
+    steps, train, validation_loss = np.array(trainer.history).T
+    arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
+    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
+    arrays["particles"] = np.array(data.positions.shape[1])
+    arrays["modes"] = np.unique(data.mode)
+    arrays["pace"] = np.array(data.pace)
+    quality = f"loss {train[-1]:.4f} after {settings.steps} steps on {len(trainer.examples)} examples"
+    if not math.isnan(trainer.best_loss) and validation is not None:
+        quality += f", {trainer.best_loss:.4f} on validation"
+    return Output(arrays, quality)
+
+
+def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:
+    """All steps that are not done yet, from the last checkpoint on."""
     saved = context.checkpoint.load()
     if saved is not None:
         trainer.load(saved)
+    settings = params.settings
     every = max(1, settings.steps // RECORDS)
     writer = _tensorboard(context) if params.tensorboard else None
     for step in context.progress(range(trainer.done + 1, settings.steps + 1), "train"):
@@ -119,16 +136,6 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
                 writer.add_scalar("loss/validation", found, step)
         if step % params.checkpoint_every == 0 and step < settings.steps:
             context.checkpoint.save(trainer.state())
-    steps, train, validation_loss = np.array(trainer.history).T
-    arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
-    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
-    arrays["particles"] = np.array(data.positions.shape[1])
-    arrays["modes"] = np.unique(data.mode)
-    arrays["pace"] = np.array(data.pace)
-    quality = f"loss {train[-1]:.4f} after {settings.steps} steps on {len(trainer.examples)} examples"
-    if not math.isnan(trainer.best_loss) and validation is not None:
-        quality += f", {trainer.best_loss:.4f} on validation"
-    return Output(arrays, quality)
 
 
 def _tensorboard(context: Context):

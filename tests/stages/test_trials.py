@@ -38,7 +38,7 @@ def runs(tiny_run, tmp_path):
 def play(folder, **settings):
     """States of the grid's trials by name, after running what is not fresh."""
     outcomes = run_stage(Run(folder, Recipe(STAGES, {"trials": SMALL | settings})), STAGE, Options())
-    return {o.sequence: o.state for o in outcomes}, {o.sequence: o.error for o in outcomes if o.error}
+    return {o.unit: o.state for o in outcomes}, {o.unit: o.error for o in outcomes if o.error}
 
 
 def keys(folder, **settings):

@@ -11,7 +11,7 @@ SAMPLE = REPOSITORY / "sample_data" / "tblock"
 
 def piegraph(*arguments: object, check: int | None = 0, **options) -> subprocess.CompletedProcess:
     """Run the command line in a process of its own; `check` is the exit code it must end with."""
-    command = [sys.executable, "-c", "from piegraph_cli.app import main; main()", *map(str, arguments)]
+    command = [sys.executable, "-m", "piegraph_cli", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, **options)
     if check is not None:
         assert done.returncode == check, f"{arguments}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"

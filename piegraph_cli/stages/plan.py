@@ -17,6 +17,7 @@ from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages import train
 from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
+from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
@@ -44,6 +45,11 @@ STAGE = Stage(
     on_demand=True,
     units=_units,
     inputs=_inputs,
+    call=Call(
+        first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
+        remembers=False,  # each question stands for itself: an old goal must not move a robot
+        describe="piegraph_cli.stages.plan:describe",
+    ),
 )
 
 
@@ -197,8 +203,9 @@ def _quality(arrays: dict[str, np.ndarray], params: PlanParams) -> str:
     return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm{mean}"
 
 
-def describe(plan: Artifact) -> tuple[dict[str, Any], list[str]]:
-    """A plan as one object and as lines for people; strokes are in the world frame, metres."""
+def describe(run: Run) -> tuple[dict[str, Any], list[str]]:
+    """A run's plan as one object and as lines for people; strokes are in the world frame, metres."""
+    plan = read_artifact(run.path(STAGE.writes, None), STAGE.writes)
     rows, lines = [], [plan.quality]
     for k, (start, end) in enumerate(plan["stroke"].tolist()):
         episode = int(plan["episode"][k])

@@ -18,6 +18,7 @@ from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
+from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
@@ -85,6 +86,10 @@ STAGE = Stage(
     on_demand=True,
     units=_units,
     settings=_settings,
+    call=Call(
+        first=("envs", "models", "goals", "seeds", "strokes", "options"),
+        describe="piegraph_cli.stages.trials:describe",
+    ),
 )
 
 

@@ -79,7 +79,7 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     command = [
         sys.executable,
         "-c",
-        "from piegraph_cli.app import main; main()",
+        "from piegraph_cli.commands.program import main; main()",
         "trials",
         "--backend",
         "ray",

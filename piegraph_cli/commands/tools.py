@@ -13,7 +13,8 @@ from piegraph_cli.commands.output import Report, emit
 
 def list_names(
     kind: Annotated[
-        Literal["models", "environments", "recipes", "experiments"] | None, typer.Argument(metavar="KIND", help="[default: all]")
+        Literal["models", "environments", "recipes", "experiments"] | None,
+        typer.Argument(metavar="KIND", help="[default: all]"),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -28,7 +29,9 @@ def list_names(
 
 
 def calibrate(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="recording folder whose cameras.json has K and distortion")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="recording folder whose cameras.json has K and distortion")
+    ],
     sequence: Annotated[str | None, typer.Option(help="sequence that shows the board [default: the first]")] = None,
     columns: Annotated[int, typer.Option(help="squares across the board")] = 7,
     rows: Annotated[int, typer.Option(help="squares down the board")] = 5,

@@ -1,6 +1,5 @@
-"""The command line: exit codes, messages, JSON, and what --help may import."""
+"""The commands of the stages: what settings they keep, what they tell, and what they say of mistakes."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -8,83 +7,29 @@ import sys
 import numpy as np
 import pytest
 
-from piegraph_cli.stages import STAGES
-from tests.cli import piegraph, piegraph_json
-
-COMMANDS = [*STAGES, "run", "status", "report", "calibrate", "view", "doctor", "bench"]
+from piegraph_cli.stages import open_run
+from tests.commands.inside import piegraph, piegraph_json
 
 
-def test_help_imports_nothing_heavy():
-    code = "import sys; from piegraph_cli.app import app; print([m for m in sys.modules if '.' not in m])"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    heavy = {"torch", "numpy", "h5py", "cv2", "open3d", "mediapipe", "scipy", "matplotlib", "pymunk", "warp"}
-    assert not heavy & set(json.loads(loaded.replace("'", '"')))
+@pytest.fixture
+def folder(tiny_run, tmp_path):
+    """A copy of the finished run."""
+    return shutil.copytree(tiny_run, tmp_path / "a run")
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_help(command):
-    assert "Usage: " in piegraph(command, "--help").stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["fly"], 2, "No such command"),
-        (["track"], 2, "Missing option"),
-        (["track", "--run", "r", "--speed", "3"], 2, "No such option"),
-        (
-            ["train", "--run", "r", "--steps", "0"],
-            2,
-            "train.piegraph.steps: Input should be greater than or equal to 1",
-        ),
-        (["ingest", "--run", "r", "--workspace", "1,2"], 2, "ingest.workspace"),
-        (["run", "--run", "r"], 2, "no recipe given"),
-        (["run", "none.toml", "--run", "r"], 3, "no such recipe"),
-        (["run", "tblock", "--run", "r", "--set", "train.speed=1"], 2, "train.speed: unknown setting"),
-        (["run", "tblock", "--run", "r", "--until", "fly"], 2, "no stage fly"),
-        (["status", "--run", "r"], 2, "not a run folder"),
-        (["hands", "--run", "r"], 2, "not a run folder"),
-        (["report", "--run", "r"], 2, "not a run folder"),
-        (["ingest", "--run", "r", "--workspace", "1,0,0,1,0,1"], 2, "xmin 1 is not below xmax 0"),
-        (["ingest", "--run", "r", "--recording", "none"], 3, "no such recording folder"),
-        (["simulate", "moon", "--out", "r"], 2, "simulate.environment: Input should be 'tblock'"),
-        (["doctor", "--fetch", "moon"], 2, "unknown weights moon"),
-    ],
-)
-def test_mistakes_end_with_their_code_one_message_and_no_traceback(tmp_path, arguments, code, message):
-    done = piegraph(*arguments, check=code, cwd=tmp_path)
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+def train_params(folder):
+    return open_run(folder).params("train")
 
 
 def test_a_missing_package_names_the_extra(tmp_path):
-    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.app import main; main()"
+    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.commands.program import main; main()"
     command = [sys.executable, "-c", code, "simulate", "tblock", "--out", str(tmp_path / "r"), "--sequences", "1"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 4, done.stderr
     assert "pip install 'piegraph[sim]'" in done.stderr
 
 
-def test_status_and_evaluate_as_json(tiny_run):
-    rows = piegraph_json("status", "--run", tiny_run)["artifacts"]
-    assert {row["state"] for row in rows} == {"fresh"}
-    assert [row["stage"] for row in rows if row["sequence"] is None] == ["dataset", "plan"]
-    found = piegraph_json("evaluate", "--run", tiny_run)["rows"]
-    assert {(row["model"], row["horizon"]) for row in found} >= {("static", 1), ("piegraph", 2)}
-    mean, low, high = found[0]["pd"]
-    assert mean > 0
-    assert low is None, "one held-out sequence has no interval"
-    assert high is None
-
-
-def test_a_second_run_is_all_fresh(tiny_run):
-    outcomes = piegraph_json("run", "--run", tiny_run)["outcomes"]
-    assert {o["state"] for o in outcomes} == {"cached"}
-
-
-def test_options_of_a_stage_are_kept_in_the_recipe(tiny_run, tmp_path):
-    folder = tmp_path / "a run"
-    shutil.copytree(tiny_run, folder)
+def test_options_of_a_stage_are_kept_in_the_recipe(folder):
     piegraph("train", "--run", folder, "--steps", "20", "--no-action-head")
     text = (folder / "recipe.toml").read_text()
     assert "steps = 20" in text
@@ -93,14 +38,12 @@ def test_options_of_a_stage_are_kept_in_the_recipe(tiny_run, tmp_path):
     assert (states["train"], states["evaluate"]) == ("fresh", "stale")
 
 
-def test_a_further_model_is_trained_beside_the_others(tiny_run, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(tiny_run, folder)
-    command = ("train", "--run", folder, "--model", "gnn@1", "--seed", "0,3", "--steps", "5", "--hidden", "8")
-    assert [o["sequence"] for o in piegraph_json(*command)["outcomes"]] == ["gnn@1.seed0", "gnn@1.seed3"]
+def test_a_further_model_is_trained_beside_the_others(folder):
+    command = ("train", "--run", folder, "--model", "gnn@1", "--seed", "0,3", *QUICK)
+    assert [o["unit"] for o in piegraph_json(*command)["outcomes"]] == ["gnn@1.seed0", "gnn@1.seed3"]
     states = {r["unit"]: r["state"] for r in piegraph_json("status", "--run", folder)["artifacts"]}
     assert states["piegraph.seed0"] == states["gnn@1.seed3"] == "fresh"
-    assert states["piegraph.seed3"] == "missing"
+    assert "piegraph.seed3" not in states, "seeds of a call are those of its model"
     found = piegraph_json("evaluate", "--run", folder, "--models", "gnn@1,static,sms-no")["rows"]
     assert {(row["model"], row["seeds"]) for row in found} == {("gnn@1", 2), ("static", 1), ("sms-no", 1)}
     refused = piegraph("train", "--run", folder, "--model", "pgnd", "--hidden", "8", check=2)
@@ -114,10 +57,94 @@ def test_a_further_model_is_trained_beside_the_others(tiny_run, tmp_path):
     assert "no variant gnn:wide" in refused.stderr
 
 
+QUICK = ("--steps", 3, "--hidden", 8)
+
+
+def test_seeds_of_a_call_are_those_of_its_model(folder):
+    """README: `train --model pgnd --seed 0,1,2`, then `evaluate --models static,piegraph,pgnd,sms-no`."""
+    settings = ("--steps", 2, "--batch", 1, "--rollout", 1)
+    done = piegraph_json("train", "--run", folder, "--model", "pgnd", "--seed", "0,1,2", *settings)
+    assert [(o["unit"], o["state"]) for o in done["outcomes"]] == [(f"pgnd.seed{k}", "done") for k in range(3)]
+    params = train_params(folder)
+    assert (params.models, params.seeds, params.seeds_of("piegraph")) == (("piegraph", "pgnd"), (0,), (0,))
+    assert params.seeds_of("pgnd") == (0, 1, 2)
+    found = piegraph_json("evaluate", "--run", folder, "--models", "static,piegraph,pgnd,sms-no")
+    assert {row["model"]: row["seeds"] for row in found["rows"]} == {"static": 1, "piegraph": 1, "pgnd": 3, "sms-no": 1}
+    assert (found["missing"], found["failed"]) == ([], [])
+
+
+def test_a_model_keeps_its_seeds_beside_further_ones(folder):
+    piegraph("train", "--run", folder, "--model", "gnn", *QUICK)
+    assert train_params(folder).model_seeds == {}
+    done = piegraph_json("train", "--run", folder, "--model", "gnn", "--seed", "2", *QUICK)
+    assert [o["unit"] for o in done["outcomes"]] == ["gnn.seed2"]
+    assert train_params(folder).model_seeds == {"gnn": (0, 2)}
+    done = piegraph_json("train", "--run", folder, "--model", "piegraph-ng", "--seed", "1", "--steps", "40")
+    assert {o["unit"]: o["state"] for o in done["outcomes"]} == {"piegraph.seed1": "done"}
+    assert train_params(folder).seeds_of("piegraph") == (0, 1)
+    done = piegraph_json("train", "--run", folder, "--model", "gnn")
+    assert {o["unit"]: o["state"] for o in done["outcomes"]} == {"gnn.seed0": "cached", "gnn.seed2": "cached"}
+
+
+def test_seeds_without_a_model_are_those_of_all(folder):
+    done = piegraph_json("train", "--run", folder, "--seed", "0,1")
+    assert {o["unit"]: o["state"] for o in done["outcomes"]} == {"piegraph.seed0": "cached", "piegraph.seed1": "done"}
+    params = train_params(folder)
+    assert (params.seeds, params.model_seeds) == ((0, 1), {})
+
+
+def test_evaluate_prints_what_there_is_and_names_what_is_missing(folder):
+    before = (folder / "recipe.toml").read_text()
+    command = ("evaluate", "--run", folder, "--models", "static,piegraph,pgnd,gnn@1")
+    found = piegraph_json(*command, check=3)
+    assert {row["model"] for row in found["rows"]} == {"static", "piegraph"}
+    assert found["failed"] == []
+    trains = f"piegraph train --run {folder} --model"
+    assert {row["model"]: row["command"] for row in found["missing"]} == {
+        "gnn@1.seed0": f"{trains} gnn@1 --seed 0",
+        "pgnd.seed0": f"{trains} pgnd --seed 0",
+    }
+    done = piegraph(*command, check=3)
+    assert " piegraph " in done.stdout
+    assert f"missing: pgnd.seed0 (model is missing)\n  try: {trains} pgnd --seed 0" in done.stdout
+    assert f"try: {trains} pgnd --seed 0" in done.stderr
+    assert (folder / "recipe.toml").read_text() == before, "a model that is not there is not asked for again"
+
+
+def test_a_model_of_the_recipe_is_made_by_its_recipe(folder):
+    for artifact in ("model", "metrics"):
+        shutil.rmtree(folder / artifact)
+    found = piegraph_json("evaluate", "--run", folder, "--models", "static,piegraph", check=3)
+    assert [row["command"] for row in found["missing"]] == [f"piegraph run --run {folder} --until train"]
+    assert {row["model"] for row in found["rows"]} == {"static"}
+
+
+def test_a_rate_counts_what_was_made(tmp_path):
+    command = ("simulate", "tblock", "--out", tmp_path / "r", "--sequences", 2, "--strokes", 3)
+    assert piegraph_json(*command)["strokes_per_second"] > 0
+    assert " strokes a second" not in piegraph(*command).stdout, "what was there already is not counted"
+
+
+def test_render_records_in_place_of_tracks(tmp_path, monkeypatch):
+    """README: `simulate tblock --render --sequences 4 --strokes 3 --out my_recording`; without --out into recordings/."""
+    made = []
+
+    def record(out, params, *, jobs, force):
+        made.append((str(out), params.environment, params.sequences, params.strokes, jobs, force))
+        return ["sequence_0000"]
+
+    monkeypatch.setattr("piegraph_cli.stages.simulate.record_sequences", record)
+    monkeypatch.chdir(tmp_path)
+    command = ("simulate", "tblock", "--render", "--sequences", 4, "--strokes", 3)
+    found = piegraph_json(*command, "--out", "my_recording")
+    assert found == {"recording": "my_recording", "sequences": ["sequence_0000"]}
+    assert piegraph(*command, "--jobs", 2, "--force").stdout == "recordings/tblock: 1 sequences\n"
+    assert made == [("my_recording", "tblock", 4, 3, 1, False), ("recordings/tblock", "tblock", 4, 3, 2, True)]
+
+
 @pytest.fixture
-def planner(tiny_run, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(tiny_run, folder)
+def planner(folder):
+    """A run whose recipe asks nothing of `plan`."""
     (folder / "recipe.toml").write_text((folder / "recipe.toml").read_text().split("[plan]")[0])
     return folder
 
@@ -183,32 +210,47 @@ def test_wrong_plans(planner, tmp_path, arguments, code, message):
     assert "Traceback" not in done.stderr
 
 
-def test_settings_that_failed_are_not_kept(tiny_run, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(tiny_run, folder)
+@pytest.mark.parametrize("model", ["static", "sms-no"])
+def test_a_model_that_is_not_trained_plans_without_one(planner, model):
+    shutil.rmtree(planner / "model")
+    plan = piegraph_json("plan", "--run", planner, "--env", "tblock", "--model", model, "--samples", 8, "--strokes", 1)
+    assert len(plan["end_distance"]) == 1
+    assert "[plan]" not in (planner / "recipe.toml").read_text()
+
+
+def test_a_plan_with_a_model_that_is_not_there_names_what_trains_it_and_shows_no_old_plan(planner):
+    done = piegraph("plan", "--run", planner, "--env", "tblock", "--model", "pgnd", check=3)
+    assert f"try: piegraph train --run {planner} --model pgnd --seed 0" in done.stderr
+    assert done.stdout == "failed: plan\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("train", "--model", "gnn@50"), 2),
+        (("train", "--model", "gnn:wide"), 2),
+        (("train", "--model", "pgnd", "--hidden", "8"), 2),
+        (("evaluate", "--models", "static,gnn", "--horizons", "1"), 3),
+        (("dataset", "--train", "2", "--min-stroke", "5"), 3),
+    ],
+)
+def test_settings_that_were_refused_are_not_kept(folder, arguments, code):
+    before = (folder / "recipe.toml").read_text()
+    command, *settings = arguments
+    piegraph(command, "--run", folder, *settings, check=code)
+    assert (folder / "recipe.toml").read_text() == before
+
+
+def test_settings_that_failed_are_not_kept(folder):
     before = (folder / "recipe.toml").read_text()
     piegraph("train", "--run", folder, "--device", "cuda", "--steps", "7", check=4)
     assert (folder / "recipe.toml").read_text() == before
 
 
-def test_ray_that_is_not_installed_is_named(tiny_run, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(tiny_run, folder)
-    code = "import sys; sys.modules['ray'] = None; from piegraph_cli.app import main; main()"
+def test_ray_that_is_not_installed_is_named(folder):
+    code = "import sys; sys.modules['ray'] = None; from piegraph_cli.commands.program import main; main()"
     command = [sys.executable, "-c", code, "dataset", "--run", str(folder), "--backend", "ray", "--force"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 4, done.stderr
     assert "piegraph[cluster]" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_status_says_why_something_is_stale(tiny_run, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(tiny_run, folder)
-    piegraph("train", "--run", folder, "--steps", "39")
-    (folder / "tracks" / "sequence_0001.h5").write_bytes(b"cut")
-    rows = {(r["stage"], r["unit"]): r for r in piegraph_json("status", "--run", folder)["artifacts"]}
-    assert "not a readable HDF5 file" in rows["simulate", "sequence_0001"]["reason"]
-    assert "what it was made from has changed" in rows["evaluate", "piegraph.seed0"]["reason"]
-    piegraph("train", "--run", folder, "--batch", "4", "--steps", "0", check=2)
-    assert piegraph_json("status", "--run", folder)["artifacts"][5]["state"] == "fresh"

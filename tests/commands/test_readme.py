@@ -5,8 +5,9 @@ import shlex
 import shutil
 
 import pytest
+import typer
 
-from piegraph_cli.commands.program import GROUPS
+from piegraph_cli.commands.program import GROUPS, app
 from tests.cli import REPOSITORY, SAMPLE
 from tests.commands.inside import piegraph, piegraph_json
 
@@ -31,20 +32,15 @@ def stage_by_stage() -> list[list[str]]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_command_of_the_pages_is_understood(page):
     """Options by their names, and values of a kind that fits: the rest shows when they are run."""
-    from piegraph_cli.commands.program import app
-
-    program = typer_command(app)
-    for words in commands(page):
+    program, found = typer.main.get_command(app), commands(page)
+    assert page.name != "README.md" or len(found) > 25
+    for words in found:
+        if words[0] in [name for option in program.params for name in option.opts]:
+            continue
         assert any(words[0] in group for group in GROUPS.values()), words
         command = program.commands[words[0]]
         with command.make_context(words[0], [w for w in words[1:] if w != "…"]) as context:
             assert context.params, words
-
-
-def typer_command(app):
-    import typer
-
-    return typer.main.get_command(app)
 
 
 def test_from_a_recording_to_pictures_stage_by_stage(sample_run, tmp_path):

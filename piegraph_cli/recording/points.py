@@ -8,7 +8,7 @@ import itertools
 import math
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -268,15 +268,18 @@ def _text_vertices(file: BinaryIO, size: int, header: _Header, path: Path) -> di
     return columns
 
 
-def _text_columns(rows: Iterable[str], vertex: _Element, path: Path) -> tuple[dict[str, np.ndarray], int]:
+def _text_columns(rows: Iterator[str], vertex: _Element, path: Path) -> tuple[dict[str, np.ndarray], int]:
+    first = list(itertools.islice(rows, 1))
+    if not first:
+        return {}, 0
     try:
-        table = np.loadtxt(rows, np.float64, comments=None, ndmin=2)
+        table = np.loadtxt(itertools.chain(first, rows), np.float64, comments=None, ndmin=2)
     except ValueError as error:
         raise DataError(f"its vertices cannot be read: {str(error).partition(';')[0]}", str(path), AGAIN) from None
-    if len(table) and table.shape[1] != len(vertex.properties):
+    if table.shape[1] != len(vertex.properties):
         message = f"its vertices have {table.shape[1]} numbers each, {len(vertex.properties)} by its header"
         raise DataError(message, str(path), AGAIN)
-    return dict(zip(vertex.properties, table.T, strict=False)), len(table)
+    return dict(zip(vertex.properties, table.T, strict=True)), len(table)
 
 
 def _count_rows(rows: Iterable[str], element: _Element, path: Path) -> int:

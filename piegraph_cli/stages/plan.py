@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,8 @@ from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages import train
 from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
-from piegraph_cli.workspace.artifact import Artifact, read_artifact
+from piegraph_cli.stages.points import read_points
+from piegraph_cli.workspace.artifact import Artifact
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
@@ -124,54 +124,6 @@ def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.
     moved = points.copy()
     moved[:, :2] = (points[:, :2] - centre) @ rotation.T + centre + [dx, dy]
     return moved.astype(np.float32)
-
-
-def read_points(path: Path, frame: int | None) -> np.ndarray:
-    """Points [P, 3] (m, world) of a .ply, .npz (first array [P, 3] or [F, P, 3]) or .h5 (clouds or tracks) file.
-
-    Of several frames the given one, else the last. Raises `DataError` for no points or unreadable files.
-    """
-    readers = {".ply": _read_ply, ".npz": _read_npz, ".h5": _read_frames}
-    if not path.is_file():
-        raise DataError("no such file", str(path), "give a .ply, .npz or .h5 file")
-    if path.suffix not in readers:
-        raise DataError(
-            f"cannot read clouds from {path.suffix or 'a file without suffix'}", str(path), "use .ply, .npz or .h5"
-        )
-    sets = readers[path.suffix](path)
-    index = len(sets) - 1 if frame is None else frame
-    if not -len(sets) <= index < len(sets):
-        raise DataError(f"has {len(sets)} frames, no frame {frame}", str(path), f"use 0 to {len(sets) - 1}")
-    points = np.asarray(sets[index], np.float32)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
-        raise DataError(
-            f"holds no finite points [P, 3] but an array {points.shape}", f"{path}, frame {index}", "give another file"
-        )
-    return points
-
-
-def _read_ply(path: Path) -> list[np.ndarray]:
-    import open3d as o3d
-
-    o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
-    return [np.asarray(o3d.io.read_point_cloud(str(path)).points)]
-
-
-def _read_npz(path: Path) -> list[np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            array = file[file.files[0]]
-    except Exception as error:
-        raise DataError(f"not a readable .npz file: {error}", str(path)) from None
-    return list(array) if array.ndim == 3 else [array]
-
-
-def _read_frames(path: Path) -> list[np.ndarray]:
-    try:
-        return list(read_artifact(path, "tracks")["positions"])
-    except DataError:
-        clouds = read_artifact(path, "clouds")
-    return np.split(clouds["points"], clouds["offsets"][1:-1])
 
 
 def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray]:

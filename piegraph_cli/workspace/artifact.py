@@ -198,7 +198,7 @@ def _remake(path: Path, attributes: Mapping[str, str]) -> str:
 def check_arrays(
     path: Path, name: str, arrays: Mapping[str, np.ndarray], hint: str = "", only: Collection[str] | None = None
 ) -> None:
-    """Check names, types, axes and finiteness of an artifact's arrays (all, or `only` some) against the schema."""
+    """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
     missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays and (only is None or d in only)]
     if missing:
         raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
@@ -215,12 +215,26 @@ def check_arrays(
         if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
             row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
             raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
+        if field.ends:
+            _check_offsets(value, arrays.get(field.ends), field.ends, where, hint)
+    if {"image", "frame", "camera"} <= lengths.keys() and lengths["image"] != lengths["frame"] * lengths["camera"]:
+        message = f"{lengths['image']} images, expected {lengths['frame']} frames of {lengths['camera']} cameras"
+        raise DataError(message, str(path), hint)
 
 
 def _check_axes(value: np.ndarray, axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
     if value.ndim != len(axes):
         raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
     for axis, length in zip(axes, value.shape, strict=True):
-        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis, length)
+        edge = int(axis.endswith("_edge"))
+        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis.removesuffix("_edge"), length - edge) + edge
         if length != expected:
             raise DataError(f"axis {axis} has length {length}, expected {expected}", where, hint)
+
+
+def _check_offsets(offsets: np.ndarray, parts: np.ndarray | None, name: str, where: str, hint: str) -> None:
+    """Check offsets [n + 1] against the dataset they cut; where that was not read, alone."""
+    rises = len(offsets) > 0 and offsets[0] == 0 and (offsets[1:] >= offsets[:-1]).all()
+    if not rises or (parts is not None and parts.shape[:1] != (offsets[-1],)):
+        length = "" if parts is None else f" to its end: {name} is {parts.shape}"
+        raise DataError(f"offsets into {name} do not rise from 0{length}", where, hint)

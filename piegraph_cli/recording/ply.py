@@ -1,5 +1,6 @@
 """PLY files that others wrote: the header is held against the file's length before a vertex is read."""
 
+import io
 import itertools
 import re
 from collections.abc import Iterable, Iterator

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.ply import AGAIN, read_ply
+from piegraph_cli.recording.ply import AGAIN, HEADER_BYTES, read_ply
 
 MAX_BYTES = 1 << 30
 """The largest file, and the most that all arrays of an .npz may unpack to."""

@@ -163,8 +163,6 @@ def _end_of_rows(element: _Element, data: bytes, place: int, order: str, path: P
     byteorder = "little" if order == "<" else "big"
     for row in range(element.count):
         for (size, *item), sign in zip(sizes, signed, strict=True):
-            if place + size > len(data):
-                return len(data) + 1
             length = int.from_bytes(data[place : place + size], byteorder, signed=sign) if item else 0  # type: ignore[arg-type]
             if length < 0:
                 raise DataError(f"a list of {element.name} {row} has the length {length}", str(path), AGAIN)

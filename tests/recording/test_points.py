@@ -145,6 +145,18 @@ VERTEX = "element vertex 1\nproperty float x\nproperty float y\nproperty float z
         (HEAD + VERTEX + "property half w\nend_header\n1 2 3 4\n", "line 7 of its header"),
         (HEAD + "property float x\n" + VERTEX + "end_header\n1 2 3\n", "line 3 of its header"),
         (HEAD + VERTEX + "element face 1\nproperty list float int i\nend_header\n1 2 3\n1 1\n", "line 8 of its header"),
+        (
+            HEAD + VERTEX + "element face 1\nproperty list uchar int i\nend_header\n1 2 3\n3 0 1\n",
+            "row 0 of face does not fit",
+        ),
+        (
+            HEAD + VERTEX + "element face 1\nproperty list uchar int i\nend_header\n1 2 3\n2 0 1 2\n",
+            "row 0 of face does not fit",
+        ),
+        (
+            HEAD + VERTEX + "element face 1\nproperty list uchar int i\nend_header\n1 2 3\n-1 0\n",
+            "row 0 of face does not fit",
+        ),
         (HEAD + VERTEX + "element nothing 1000000000\nend_header\n1 2 3\n", "names no property of nothing"),
         (HEAD + "element face 0\nproperty list uchar int i\nend_header\n", "no element vertex"),
         (HEAD + VERTEX + "property list uchar int i\nend_header\n1 2 3 0\n", "list properties"),

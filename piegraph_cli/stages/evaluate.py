@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.models import Trained, make_predict
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.metrics import SHAPE_RADIUS, chamfer_distance, particle_distance, shape_error
 from piegraph_cli.evaluation.params import ModelEvaluateParams
@@ -68,8 +68,8 @@ def describe(folder: Path) -> tuple[dict[str, Any], list[str]]:
     return {"metrics": str(folder / "metrics"), "rows": rows, "scores": values}, table_lines(rows, values)
 
 
-def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
-    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S, 5], `frames` [S, 2]."""
+def read_sequence(data: Artifact, index: int) -> dict[str, Any]:
+    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S], `frames` [S, 2]."""
     chosen = data["stroke_sequence"] == index
     first, last = data["strokes"][chosen].T
     hand = data["end_effector"]
@@ -78,18 +78,19 @@ def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
         "rest": data["positions"][start],
         "before": data["positions"][first],
         "after": data["positions"][last],
-        "strokes": make_strokes(hand[first], hand[last], data["stroke_mode"][chosen]).numpy(),
+        "strokes": Strokes.of(hand[first], hand[last], data["stroke_mode"][chosen]),
         "frames": np.stack([first, last], 1) - start,
     }
 
 
 def _evaluate_sequence(
-    sequence: dict[str, np.ndarray], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
+    sequence: dict[str, Any], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
 ):
     """Rows (horizon, first stroke, metrics) of all windows of one sequence; all windows advance as one batch."""
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest, strokes = (torch.as_tensor(sequence[name], dtype=torch.float32) for name in ("rest", "strokes"))
+    rest = torch.as_tensor(sequence["rest"], dtype=torch.float32)
+    strokes = sequence["strokes"].to(torch.float32)
     predict = make_predict(params.label, trained, rest, params)
     positions = torch.as_tensor(sequence["before"])
     for horizon in range(1, min(max(params.horizons), count) + 1):

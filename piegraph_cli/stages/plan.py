@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 import torch
 
+from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES
+from piegraph_cli.params import mode_word
 from piegraph_cli.physics.tracking import choose_particles
+from piegraph_cli.planning.episode import Episode, play, tool_of
 from piegraph_cli.planning.mpc import Step
 from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.planner import Goal, Tool, check_inside, make_planner, tool_warnings
 from piegraph_cli.process import set_up_torch
-from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
+from piegraph_cli.stages.steps import open_environment, step_arrays
+from piegraph_cli.stages.train import read_model
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.execute import Context, Output
 
@@ -27,28 +31,30 @@ def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Ou
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
-    model = inputs.get("model")
+    set_up_torch()
+    trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
     if params.state is not None:
-        if model is None:
+        if trained is None:
             raise UsageError(
                 f"--state needs a trained model, {params.model} is none", "piegraph plan", "--model piegraph"
             )
-        episodes = [_plan_once(model, params)]
+        episodes = [_plan_once(trained, params)]
     else:
 
         def wanted(state: np.ndarray, sample: Callable[[], np.ndarray]) -> Goal:
             return _given_goal(params, state) or Goal(sample(), True)
 
+        environment = open_environment(params, trained)
         numbers = context.progress(range(params.episodes), "plan")
-        episodes = [play(model, params, wanted, start=i, goal=i)[0] for i in numbers]
+        episodes = [play(environment, trained, params, wanted, start=i, goal=i) for i in numbers]
+        warnings = tool_warnings(params, tool_of(environment))
     arrays = _arrays(episodes, params)
-    return Output(arrays, _quality(arrays, params))
+    return Output(arrays, _quality(arrays, params), warnings)
 
 
-def _plan_once(model: Artifact, params: PlanParams) -> Episode:
-    set_up_torch()
+def _plan_once(trained: Trained, params: PlanParams) -> Episode:
     assert params.state is not None
-    cloud, particles = read_points(params.state, None), int(model["particles"])
+    cloud, particles = read_points(params.state, None), trained.particles
     if len(cloud) < particles:
         raise DataError(
             f"{len(cloud)} points, the model needs {particles} or more", str(params.state), "give the whole cloud"
@@ -57,7 +63,7 @@ def _plan_once(model: Artifact, params: PlanParams) -> Episode:
     check_inside(state, params, f"the object of {params.state}")
     goal = _given_goal(params, state)
     assert goal is not None
-    cost, make_plan = make_planner(model, state, goal, params, None, [params.seed, 2, 0, 0])
+    cost, make_plan = make_planner(trained, state, goal, params, Tool(), [params.seed, 2, 0, 0])
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
         return Episode(state, goal.points, [], start, start)
@@ -174,7 +180,7 @@ def describe(plan: Artifact) -> tuple[dict[str, Any], list[str]]:
     rows, lines = [], [plan.quality]
     for k, (start, end) in enumerate(plan["stroke"].tolist()):
         episode = int(plan["episode"][k])
-        row = {"episode": episode, "mode": MODE_NAMES[int(plan["mode"][k])], "start": start, "end": end}
+        row = {"episode": episode, "mode": mode_word(int(plan["mode"][k])), "start": start, "end": end}
         row |= {"predicted_distance": float(plan["cost"][k])}
         if np.isfinite(plan["distance"][k]):
             row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}

@@ -122,4 +122,6 @@ def read_model(model: Artifact) -> Trained:
     except RuntimeError as error:
         reason = str(error).splitlines()[-1].strip()
         raise DataError(f"weights do not fit: {reason}", str(model.path), "piegraph train --force") from None
-    return Trained(network.eval().requires_grad_(False), settings, float(model["pace"]))
+    modes = tuple(int(mode) for mode in model["modes"])
+    network = network.eval().requires_grad_(False)
+    return Trained(network, settings, float(model["pace"]), modes, int(model["particles"]))

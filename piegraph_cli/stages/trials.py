@@ -20,18 +20,27 @@ from piegraph_cli.workspace.run import Run
 def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output:
     """Play one trial. Distances along it are kept: `pd` and `cd` [strokes + 1] (m), the first before any stroke."""
     # torch takes seconds to import, which the summary does not need
-    from piegraph_cli.stages.closed_loop import play, step_arrays
+    from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.stages.steps import open_environment, step_arrays
+    from piegraph_cli.stages.train import read_model
 
-    episode, last = play(_read_model(params), params.plan, start=params.seed, goal=params.goal)
-    states = [*(step.before for step in episode.steps), last]
-    arrays = step_arrays(episode.steps, len(last)) | {
+    set_up_torch()
+    model = _read_model(params)
+    trained = None if model is None else read_model(model)
+    environment = open_environment(params.plan, trained)
+    episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal)
+    states = episode.states
+    arrays = step_arrays(episode.steps, len(episode.start)) | {
         "goal": episode.goal,
         "start_distance": np.array(episode.start_distance),
         "end_distance": np.array(episode.end_distance),
         "pd": np.array([particle_distance(state, episode.goal) for state in states]) / CENTIMETRE,
         "cd": np.array([chamfer_distance(state, episode.goal) for state in states]) / CENTIMETRE,
     }
-    return Output(arrays, _quality(episode.end_distance, len(episode.steps), params.plan))
+    quality = _quality(episode.end_distance, len(episode.steps), params.plan)
+    return Output(arrays, quality, tool_warnings(params.plan, tool_of(environment)))
 
 
 def _quality(end: float, strokes: int, plan: PlanParams) -> str:

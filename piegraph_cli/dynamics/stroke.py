@@ -123,7 +123,8 @@ class Strokes:
 
     def check(self) -> None:
         """Refuse strokes [B] that are not finite or too short to have a heading. Raises `DataError` naming the first."""
-        bad = ~(self.start.isfinite() & self.end.isfinite()).all(-1) | (self.length < MIN_STROKE)
+        known = (self.end - self.start).abs().amax(-1) < torch.inf  # not so for NaN, which comparisons deny
+        bad = ~(known & (self.length >= MIN_STROKE))
         if bad.any():
             index = int(bad.nonzero()[0])
             ends = [*self.start[index].tolist(), *self.end[index].tolist()]

@@ -40,7 +40,7 @@ class Sequences:
     @property
     def picks(self) -> bool:
         """Whether any stroke is a pick."""
-        return bool(self.mode.any())
+        return bool((self.mode == PICK).any())
 
     @property
     def pace(self) -> float:

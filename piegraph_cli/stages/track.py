@@ -3,6 +3,7 @@
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import mode_number
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.tracking import track
 from piegraph_cli.process import set_up_torch
@@ -28,7 +29,7 @@ def run(inputs: dict[str, Artifact], params: TrackParams, context: Context) -> O
         "positions": tracked.positions,
         "residual": tracked.residual,
         "visibility": tracked.weight,
-        "mode": np.full(frames, params.mode == "pick"),
+        "mode": np.full(frames, mode_number(params.mode)),
         "end_effector": source["end_effector"],
         "contact": source["contact"],
         "time": source["time"],

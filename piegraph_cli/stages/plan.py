@@ -1,31 +1,29 @@
 """Stage `plan`: strokes towards a goal, closed loop in a simulated environment or for a cloud seen by a robot."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
-
-import numpy as np
-import torch
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES
-from piegraph_cli.physics.tracking import choose_particles
-from piegraph_cli.planning.mpc import Step
+from piegraph_cli.params import mode_word
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.process import set_up_torch
 from piegraph_cli.stages import train
-from piegraph_cli.stages.closed_loop import Episode, Goal, check_inside, make_planner, play, step_arrays
-from piegraph_cli.stages.points import read_points
-from piegraph_cli.workspace.artifact import Artifact
-from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
+if TYPE_CHECKING:
+    import numpy as np
 
-def _units(run: Run) -> Sequence[Unit]:
+    from piegraph_cli.dynamics.models import Trained
+    from piegraph_cli.planning.episode import Episode
+    from piegraph_cli.planning.planner import Goal
+    from piegraph_cli.workspace.artifact import Artifact
+    from piegraph_cli.workspace.run import Run
+
+
+def _units(run: "Run") -> Sequence[Unit]:
     return [None]
 
 
-def _inputs(run: Run, unit: Unit) -> Inputs:
+def _inputs(run: "Run", unit: Unit) -> Inputs:
     """The trained model, where one is used."""
     label = run.params(STAGE.name).model
     model = train.trained_name(train.model_name(label, run.params("train").seeds_of(label)[0]))
@@ -47,68 +45,69 @@ STAGE = Stage(
 )
 
 
-def run(inputs: dict[str, Artifact], params: PlanParams, context: Context) -> Output:
+def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
+    from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.planner import Goal, tool_warnings
+    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.stages.learning import read_model
+    from piegraph_cli.stages.steps import open_environment
+
+    _check_question(params)
+    set_up_torch()
+    trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
+    if params.state is not None:
+        episodes = [_plan_once(trained, params)]
+    else:
+
+        def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
+            return _given_goal(params, state) or Goal(sample(), True)
+
+        environment = open_environment(params, trained)
+        numbers = context.progress(range(params.episodes), "plan")
+        episodes = [play(environment, trained, params, wanted, start=i, goal=i) for i in numbers]
+        warnings = tool_warnings(params, tool_of(environment))
+    arrays = _arrays(episodes, params)
+    return Output(arrays, _quality(arrays, params), warnings)
+
+
+def _check_question(params: PlanParams) -> None:
     if (params.env is None) == (params.state is None):
         raise UsageError("give either --env or --state", "piegraph plan", "as in piegraph plan --run RUN --env tblock")
     if params.state is not None and params.goal is None and params.goal_pose is None:
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
-    model = inputs.get("model")
-    if params.state is not None:
-        if model is None:
-            raise UsageError(
-                f"--state needs a trained model, {params.model} is none", "piegraph plan", "--model piegraph"
-            )
-        episodes = [_plan_once(model, params)]
-    else:
-
-        def wanted(state: np.ndarray, sample: Callable[[], np.ndarray]) -> Goal:
-            return _given_goal(params, state) or Goal(sample(), True)
-
-        numbers = context.progress(range(params.episodes), "plan")
-        episodes = [play(model, params, wanted, start=i, goal=i)[0] for i in numbers]
-    arrays = _arrays(episodes, params)
-    return Output(arrays, _quality(arrays, params))
 
 
-def _plan_once(model: Artifact, params: PlanParams) -> Episode:
-    set_up_torch()
+def _plan_once(trained: "Trained | None", params: PlanParams) -> "Episode":
+    import numpy as np
+
+    from piegraph_cli.physics.tracking import choose_particles
+    from piegraph_cli.planning.episode import plan_once
+    from piegraph_cli.stages.points import read_points
+    from piegraph_cli.stages.steps import PARTICLES
+
     assert params.state is not None
-    cloud, particles = read_points(params.state, None), int(model["particles"])
+    cloud, particles = read_points(params.state, None), PARTICLES if trained is None else trained.particles
     if len(cloud) < particles:
         raise DataError(
             f"{len(cloud)} points, the model needs {particles} or more", str(params.state), "give the whole cloud"
         )
     state = choose_particles(cloud, particles).astype(np.float32)
-    check_inside(state, params, f"the object of {params.state}")
     goal = _given_goal(params, state)
     assert goal is not None
-    cost, make_plan = make_planner(model, state, goal, params, None, [params.seed, 2, 0, 0])
-    start = float(cost(torch.as_tensor(state)[None])[0])
-    if start < params.success:
-        return Episode(state, goal.points, [], start, start)
-    plan = make_plan(torch.as_tensor(state))
-    if plan is None:
-        raise DataError(
-            "no stroke touches the object inside the workspace", hint="widen plan.workspace or move the object"
-        )
-    steps, before, unknown = [], state, np.full_like(state, np.nan)
-    for k in range(len(plan.strokes)):
-        later = replace(
-            plan,
-            strokes=plan.strokes[k:],
-            predicted=plan.predicted[k:],
-            cost=float(cost(plan.predicted[k][None])[0]),
-        )
-        steps.append(Step(later, before, unknown, float("nan"), False, 0.0))
-        before = plan.predicted[k].numpy()
-    return Episode(state, goal.points, steps, start, float("nan"))
+    try:
+        return plan_once(trained, state, goal, params)
+    except DataError as error:
+        raise DataError(error.message, error.where or str(params.state), error.hint) from None
 
 
-def _given_goal(params: PlanParams, state: np.ndarray) -> Goal | None:
+def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
     """The goal that the settings name, for the object's particles now [N, 3] (m)."""
+    from piegraph_cli.planning.planner import Goal, move_in_plane
+    from piegraph_cli.stages.points import read_points
+
     if params.goal is not None:
         return Goal(read_points(*params.goal_file()), False)
     if params.goal_pose is not None:
@@ -116,17 +115,11 @@ def _given_goal(params: PlanParams, state: np.ndarray) -> Goal | None:
     return None
 
 
-def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:
-    """Points [N, 3] (m) turned by DYAW (rad) about their centre and moved by DX, DY (m)."""
-    dx, dy, yaw = motion
-    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    centre = points[:, :2].mean(0)
-    moved = points.copy()
-    moved[:, :2] = (points[:, :2] - centre) @ rotation.T + centre + [dx, dy]
-    return moved.astype(np.float32)
+def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndarray"]:
+    import numpy as np
 
+    from piegraph_cli.stages.steps import step_arrays
 
-def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray]:
     particles = len(episodes[0].start)
     return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
         "goal": np.array([episode.goal for episode in episodes]),
@@ -137,7 +130,9 @@ def _arrays(episodes: list[Episode], params: PlanParams) -> dict[str, np.ndarray
     }
 
 
-def _quality(arrays: dict[str, np.ndarray], params: PlanParams) -> str:
+def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
+    import numpy as np
+
     if params.state is not None and len(arrays["stroke"]) == 0:
         start = arrays["start_distance"][0] * 100
         return f"no stroke: {start:.1f} cm from the goal already, success is {params.success * 100:g} cm"
@@ -149,12 +144,14 @@ def _quality(arrays: dict[str, np.ndarray], params: PlanParams) -> str:
     return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm{mean}"
 
 
-def describe(plan: Artifact) -> tuple[dict[str, Any], list[str]]:
+def describe(plan: "Artifact") -> tuple[dict[str, Any], list[str]]:
     """A plan as one object and as lines for people; strokes are in the world frame, metres."""
+    import numpy as np
+
     rows, lines = [], [plan.quality]
     for k, (start, end) in enumerate(plan["stroke"].tolist()):
         episode = int(plan["episode"][k])
-        row = {"episode": episode, "mode": MODE_NAMES[int(plan["mode"][k])], "start": start, "end": end}
+        row = {"episode": episode, "mode": mode_word(int(plan["mode"][k])), "start": start, "end": end}
         row |= {"predicted_distance": float(plan["cost"][k])}
         if np.isfinite(plan["distance"][k]):
             row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}

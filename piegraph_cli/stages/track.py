@@ -3,6 +3,7 @@
 from typing import Any
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import mode_number
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -34,7 +35,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         "positions": tracked.positions,
         "residual": tracked.residual,
         "visibility": tracked.weight,
-        "mode": np.full(frames, params.mode == "pick"),
+        "mode": np.full(frames, mode_number(params.mode)),
         "end_effector": source["end_effector"],
         "contact": source["contact"],
         "time": source["time"],

@@ -12,7 +12,7 @@ from daxbench_stand_in import PUSH_UP, REPO, make_daxbench
 from gymnasium.utils.env_checker import check_env
 
 from piegraph_cli import environments
-from piegraph_cli.dynamics.strokes import cut_strokes, frame_pairs
+from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs
 from piegraph_cli.environments import daxbench, daxbench_child
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.errors import DataError, MissingError, UsageError

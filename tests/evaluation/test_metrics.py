@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
 from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.evaluation.statistics import bootstrap_mean
@@ -94,7 +94,7 @@ def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
         "rest": rest,
         "before": rest[None],
         "after": rest[None] + rng.normal(0, 0.01, (1, 30, 3)).astype(np.float32),
-        "strokes": make_strokes([[0.0, 0.0]], [[0.1, 0.0]], [0]).numpy().astype(np.float32),
+        "strokes": Strokes.of([[0.0, 0.0]], [[0.1, 0.0]], [0]),
         "frames": np.array([[0, 5]]),
     }
     rows = [

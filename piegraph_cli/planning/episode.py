@@ -31,6 +31,16 @@ class Episode:
     """NaN where nothing was carried out."""
 
     @property
+    def strokes(self) -> Strokes | None:
+        """The strokes [S] in their order; None where there is none."""
+        return Strokes.stack([step.plan.strokes[0] for step in self.steps]) if self.steps else None
+
+    @property
+    def predicted(self) -> np.ndarray:
+        """The object [S, N, 3] (m) as it is expected after each stroke."""
+        return np.array([step.plan.predicted[0].numpy() for step in self.steps]).reshape(-1, *self.start.shape)
+
+    @property
     def states(self) -> list[np.ndarray]:
         """The object [N, 3] (m) at the start, and after each stroke."""
         return [self.start, *(step.after for step in self.steps)]

@@ -12,8 +12,8 @@ from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 if TYPE_CHECKING:
     import numpy as np
 
-    from piegraph_cli.dynamics.models import Trained
     from piegraph_cli.planning.episode import Episode
+    from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import Goal
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
@@ -48,6 +48,7 @@ STAGE = Stage(
 def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
     from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import Goal, tool_warnings
     from piegraph_cli.process import set_up_torch
     from piegraph_cli.stages.learning import read_model
@@ -56,14 +57,15 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     _check_question(params)
     set_up_torch()
     trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
+    model = Model(params.model, trained, params)
     if params.state is not None:
-        episodes = [_plan_once(trained, params)]
+        episodes = [_plan_once(model, params)]
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
             return _given_goal(params, state) or Goal(sample(), True)
 
-        environment = open_environment(params, trained)
+        environment = open_environment(params, model)
         numbers = context.progress(range(params.episodes), "plan")
         episodes = [play(environment, trained, params, wanted, start=i, goal=i) for i in numbers]
         warnings = tool_warnings(params, tool_of(environment))
@@ -80,27 +82,15 @@ def _check_question(params: PlanParams) -> None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
 
 
-def _plan_once(trained: "Trained | None", params: PlanParams) -> "Episode":
-    import numpy as np
-
-    from piegraph_cli.physics.tracking import choose_particles
-    from piegraph_cli.planning.episode import plan_once
+def _plan_once(model: "Model", params: PlanParams) -> "Episode":
     from piegraph_cli.stages.points import read_points
-    from piegraph_cli.stages.steps import PARTICLES
 
     assert params.state is not None
-    cloud, particles = read_points(params.state, None), PARTICLES if trained is None else trained.particles
-    if len(cloud) < particles:
-        raise DataError(
-            f"{len(cloud)} points, the model needs {particles} or more", str(params.state), "give the whole cloud"
-        )
-    state = choose_particles(cloud, particles).astype(np.float32)
-    goal = _given_goal(params, state)
-    assert goal is not None
+    goal = read_points(*params.goal_file()) if params.goal is not None else None
     try:
-        return plan_once(trained, state, goal, params)
+        return model.plan(read_points(params.state, None), goal=goal, goal_pose=params.goal_pose)
     except DataError as error:
-        raise DataError(error.message, error.where or str(params.state), error.hint) from None
+        raise DataError(error.message, str(params.state), error.hint) from None
 
 
 def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":

@@ -4,18 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from piegraph_cli.dynamics.models import Trained
+from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.mpc import Step
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.stages.simulate import make_environment
 
-PARTICLES = 50
-"""Of an object, for models that are not trained."""
 
-
-def open_environment(params: PlanParams, trained: Trained | None) -> Any:
+def open_environment(params: PlanParams, model: Model) -> Any:
     """The environment `params.env`, with as many particles as the model was trained on."""
-    return make_environment(str(params.env), PARTICLES if trained is None else trained.particles, params)
+    return make_environment(str(params.env), model.particles, params)
 
 
 def step_arrays(steps: list[Step], particles: int) -> dict[str, np.ndarray]:

@@ -93,6 +93,7 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
 
     from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
     from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.process import set_up_torch
     from piegraph_cli.stages.learning import read_model
@@ -101,7 +102,7 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     set_up_torch()
     model = _read_model(params)
     trained = None if model is None else read_model(model)
-    environment = open_environment(params.plan, trained)
+    environment = open_environment(params.plan, Model(params.plan.model, trained))
     episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal)
     states = episode.states
     arrays = step_arrays(episode.steps, len(episode.start)) | {

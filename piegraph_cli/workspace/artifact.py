@@ -34,6 +34,14 @@ class Artifact:
     def __getitem__(self, dataset: str) -> np.ndarray:
         return self.arrays[dataset]
 
+    def field(self, dataset: str) -> Field:
+        """Axes by name, units and type of a dataset. Raises `DataError` where there is no such dataset."""
+        found = field_of(self.name, dataset)
+        if found is None or dataset not in self.arrays:
+            known = ", ".join(sorted(self.arrays))
+            raise DataError(f"has no dataset {dataset}", str(self.path), f"one of {known}")
+        return found
+
     def texts(self, dataset: str) -> list[str]:
         """A text dataset as Python strings."""
         return [value.decode() for value in self.arrays[dataset]]
@@ -102,10 +110,14 @@ def _write_dataset(file: h5py.File, dataset: str, value: np.ndarray, field: Fiel
     handle.attrs["units"], handle.attrs["axes"] = field.units, field.axes
 
 
-def read_artifact(path: Path, name: str, only: Collection[str] | None = None) -> Artifact:
-    """Read and check an artifact, or `only` some datasets. Raises `DataError` naming file and dataset when something is off."""
-    with _open(path, name) as file:
+def read_artifact(path: Path, name: str | None = None, only: Collection[str] | None = None) -> Artifact:
+    """Read and check an artifact, or `only` some datasets; without a name whatever artifact the file holds.
+
+    Raises `DataError` naming file and dataset when something is off.
+    """
+    with _open(path, name or "") as file:
         attributes = _attributes(file, path, name)
+        name = attributes["artifact"]
         arrays: dict[str, np.ndarray] = {}
 
         def take(dataset: str, item: h5py.Dataset | h5py.Group) -> None:
@@ -173,7 +185,7 @@ def _open(path: Path, name: str) -> Iterator[h5py.File]:
         yield file
 
 
-def _attributes(file: h5py.File, path: Path, name: str) -> dict[str, str]:
+def _attributes(file: h5py.File, path: Path, name: str | None) -> dict[str, str]:
     version = file.attrs.get("schema_version")
     if isinstance(version, np.integer) and version > SCHEMA_VERSION:
         raise DataError(
@@ -184,10 +196,9 @@ def _attributes(file: h5py.File, path: Path, name: str) -> dict[str, str]:
     attributes = {k: file.attrs.get(k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
     if version != SCHEMA_VERSION or not all(isinstance(value, str) for value in attributes.values()):
         raise DataError("not an artifact of this version", str(path), "make it again with --force")
-    if attributes["artifact"] != name:
-        raise DataError(
-            f"holds {attributes['artifact']}, expected {name}", str(path), "give the file of the right stage"
-        )
+    if attributes["artifact"] not in ([name] if name else SCHEMAS):
+        expected = f", expected {name}" if name else ""
+        raise DataError(f"holds {attributes['artifact']}{expected}", str(path), "give the file of the right stage")
     return attributes  # type: ignore[return-value]
 
 

@@ -7,7 +7,7 @@ export PYTHONUNBUFFERED := 1
 
 EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
 
-.PHONY: setup demo test smoke lint libraries clean reproduce $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables libraries clean reproduce $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -54,6 +54,10 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# the tables of README.md and docs/ from results/
+tables: setup
+	$(BIN)/python -m tools.tables
 
 clean:
 	rm -rf .venv runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).parents[1]
 SAMPLE = REPOSITORY / "sample_data" / "tblock"
 PATIENCE = 600.0
 """Seconds that a test waits for what must come: the machine may have other work, so only what never comes takes longer."""
-PROGRAM = [sys.executable, "-c", "from piegraph_cli.app import main; main()"]
+PROGRAM = [sys.executable, "-m", "piegraph_cli"]
 """The command line as a process that a test may signal, limit or start without one of its packages."""
 
 

@@ -22,6 +22,6 @@ def write_half_and_die(self: Path, data: bytes) -> int:
 
 Path.write_bytes = write_half_and_die
 
-from piegraph_cli.app import main  # noqa: E402
+from piegraph_cli.commands.program import main  # noqa: E402
 
 main()

@@ -93,7 +93,7 @@ def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
 def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     program = """
 import signal, time
-from piegraph_cli import app
+from piegraph_cli.commands import program
 
 class Falls:
     def __del__(self):
@@ -103,8 +103,8 @@ def work(*arguments, **options):
     Falls()
     time.sleep(50)
 
-app.app = work
-app.main()
+program.app = work
+program.main()
 """
     process = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
     assert process.returncode == 130

@@ -66,7 +66,6 @@ class Learner:
 class Model:
     """A row of the table: what is learned, and what is done with the prediction."""
 
-    help: str
     learner: Learner | None = None
     """None for a model that is not trained itself: see `dynamics.params.TRAINED_AS`."""
     correction: Callable[[torch.Tensor, PredictionParams], Correct] | None = None
@@ -179,29 +178,19 @@ _ACTION_NODES = Learner(
 )
 
 MODELS: dict[str, Model] = {
-    "piegraph": Model(
-        "the network's prediction, kept physical by springs it guides",
-        Learner(_egnn, _pairs(mirror=False, turn=False), _in_kernel),
-        _guided,
-    ),
-    "piegraph-ng": Model("the network alone, no guidance"),
-    "kabsch": Model("the network's prediction, made rigid: an oracle for rigid objects", correction=_rigid),
-    "egnn-g": Model(
-        "the stroke as two nodes of the graph in place of canonical actions, and guidance", _ACTION_NODES, _guided
-    ),
-    "gnn": Model("a graph network without equivariance", Learner(_gnn, _pairs(mirror=True, turn=False), _in_torch)),
-    "gnn-aug": Model("the same, trained on turned examples", Learner(_gnn, _pairs(mirror=True, turn=True), _in_torch)),
-    "sms-no": Model("springs pushed by a disc, their numbers as given"),
-    "sms-o": Model("springs pushed by a disc, their numbers fitted by gradient", _SPRINGS),
-    "pgnd": Model(
-        "Particle-Grid Neural Dynamics", Learner(_pgnd, _windows(pgnd.HISTORY + 1), _frame_by_frame(pgnd.HISTORY + 1))
-    ),
-    "gbnd": Model(
-        "graph-based neural dynamics with a tool node",
-        Learner(_gbnd, _windows(gbnd.HISTORY), _frame_by_frame(gbnd.HISTORY)),
-    ),
-    "static": Model("nothing moves: the floor of every comparison"),
+    "piegraph": Model(Learner(_egnn, _pairs(mirror=False, turn=False), _in_kernel), _guided),
+    "piegraph-ng": Model(),
+    "kabsch": Model(correction=_rigid),
+    "egnn-g": Model(_ACTION_NODES, _guided),
+    "gnn": Model(Learner(_gnn, _pairs(mirror=True, turn=False), _in_torch)),
+    "gnn-aug": Model(Learner(_gnn, _pairs(mirror=True, turn=True), _in_torch)),
+    "sms-no": Model(),
+    "sms-o": Model(_SPRINGS),
+    "pgnd": Model(Learner(_pgnd, _windows(pgnd.HISTORY + 1), _frame_by_frame(pgnd.HISTORY + 1))),
+    "gbnd": Model(Learner(_gbnd, _windows(gbnd.HISTORY), _frame_by_frame(gbnd.HISTORY))),
+    "static": Model(),
 }
+"""What they are, in words: `dynamics.params.MODEL_HELP`."""
 
 
 def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Predict:

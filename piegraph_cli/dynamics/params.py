@@ -22,6 +22,21 @@ ModelName = Literal[
     "gbnd",
     "static",
 ]
+MODEL_HELP: dict[str, str] = {
+    "piegraph": "the network's prediction, kept physical by springs it guides",
+    "piegraph-ng": "the network alone, no guidance",
+    "kabsch": "the network's prediction, made rigid: an oracle for rigid objects",
+    "egnn-g": "the stroke as two nodes of the graph in place of canonical actions, and guidance",
+    "gnn": "a graph network without equivariance",
+    "gnn-aug": "the same, trained on turned examples",
+    "sms-no": "springs pushed by a disc, their numbers as given",
+    "sms-o": "springs pushed by a disc, their numbers fitted by gradient",
+    "pgnd": "Particle-Grid Neural Dynamics",
+    "gbnd": "graph-based neural dynamics with a tool node",
+    "static": "nothing moves: the floor of every comparison",
+}
+"""What each model is, in a line."""
+MODEL_NAMES = ", ".join(MODEL_HELP)
 TRAINED_AS = {"piegraph-ng": "piegraph", "kabsch": "piegraph", "static": None, "sms-no": None, "greedy": None}
 """Whose weights a model uses that has none of its own."""
 

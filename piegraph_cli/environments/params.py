@@ -21,6 +21,18 @@ def _settings(value: object) -> object:
 EnvironmentName = Literal[
     "tblock", "rope-stiff", "rope-bendy", "tshirt", "cloth", "toy", "daxbench-rope", "daxbench-tshirt"
 ]
+ENVIRONMENT_HELP: dict[str, str] = {
+    "tblock": "a rigid T-shaped block, pushed (Pymunk)",
+    "rope-stiff": "a rope that hardly bends, pushed (MuJoCo)",
+    "rope-bendy": "a rope that bends where it is pushed (MuJoCo)",
+    "tshirt": "a T-shirt, picked up or pushed (MuJoCo)",
+    "cloth": "a square cloth, picked up or pushed (MuJoCo)",
+    "toy": "a soft toy with head, arms and legs, pushed (MuJoCo)",
+    "daxbench-rope": "DaXBench's rope, pushed (docs/daxbench.md)",
+    "daxbench-tshirt": "DaXBench's T-shirt, picked up (docs/daxbench.md)",
+}
+"""What each environment is, in a line."""
+ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(_settings)]
 

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from piegraph_cli.dynamics.params import Labels, PredictionParams
+from piegraph_cli.dynamics.params import MODEL_NAMES, Labels, PredictionParams
 from piegraph_cli.params import Counts, Params
 
 
@@ -13,7 +13,9 @@ class ScoreParams(Params):
 class EvaluateParams(PredictionParams):
     """Settings of `evaluate`."""
 
-    models: Labels = Field(("static", "piegraph-ng", "piegraph", "kabsch"), description="models to compare, by name")
+    models: Labels = Field(
+        ("static", "piegraph-ng", "piegraph", "kabsch"), description=f"models to compare, of {MODEL_NAMES}"
+    )
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
 
 

@@ -5,8 +5,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from piegraph_cli.dynamics.params import Label, PredictionParams
-from piegraph_cli.environments.params import EnvironmentName, EnvironmentParams, Environments, EnvironmentSettings
+from piegraph_cli.dynamics.params import MODEL_NAMES, Label, PredictionParams
+from piegraph_cli.environments.params import (
+    ENVIRONMENT_NAMES,
+    EnvironmentName,
+    EnvironmentParams,
+    Environments,
+    EnvironmentSettings,
+)
 from piegraph_cli.params import Box, Modes, Params, Pose2, Thresholds, split_commas
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
@@ -22,7 +28,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
-    model: Label = Field("piegraph", description="model that predicts, by name")
+    model: Label = Field("piegraph", description=f"model that predicts: {MODEL_NAMES}")
     cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
         "auto",
         description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
@@ -77,10 +83,11 @@ class TrialsParams(EnvironmentParams):
     """Settings of `trials`: the grid environments x models x goals x seeds of the paper's planning experiment."""
 
     envs: Environments = Field(
-        ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description="simulated environments, by name"
+        ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description=f"simulated environments, of {ENVIRONMENT_NAMES}"
     )
     models: TrialLabels = Field(
-        ("piegraph", "piegraph-ng", "static"), description="models to compare, by name; greedy: picks without a model"
+        ("piegraph", "piegraph-ng", "static"),
+        description=f"models to compare, of {MODEL_NAMES}; greedy: picks without a model",
     )
     goals: int = Field(10, ge=1, description="goals per environment")
     seeds: int = Field(10, ge=1, description="starts per goal")

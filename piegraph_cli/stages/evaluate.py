@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.params import EvaluateParams, ModelEvaluateParams
 from piegraph_cli.stages import score, train
+from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ STAGE = Stage(
     units=_units,
     settings=_settings,
     inputs=_inputs,
+    call=Call(first=("models", "horizons"), describe="piegraph_cli.stages.evaluate:describe"),
 )
 
 

@@ -7,6 +7,7 @@ from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import mode_word
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.stages import train
+from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from piegraph_cli.planning.episode import Episode
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import Goal
-    from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 
 
@@ -42,6 +42,11 @@ STAGE = Stage(
     on_demand=True,
     units=_units,
     inputs=_inputs,
+    call=Call(
+        first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
+        remembers=False,  # each question stands for itself: an old goal must not move a robot
+        describe="piegraph_cli.stages.plan:describe",
+    ),
 )
 
 
@@ -134,10 +139,11 @@ def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
     return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm{mean}"
 
 
-def describe(plan: "Artifact") -> tuple[dict[str, Any], list[str]]:
-    """A plan as one object and as lines for people; strokes are in the world frame, metres."""
+def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
+    """A run's plan as one object and as lines for people; strokes are in the world frame, metres."""
     import numpy as np
 
+    plan = run.read(STAGE.writes)
     rows, lines = [], [plan.quality]
     for k, (start, end) in enumerate(plan["stroke"].tolist()):
         episode = int(plan["episode"][k])

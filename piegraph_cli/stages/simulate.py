@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments.params import EnvironmentParams, SequenceParams, SimulateParams
+from piegraph_cli.workspace.call import Call, Folder, Given, Instead, Told
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -28,6 +29,15 @@ def _of_sequence(params: SimulateParams) -> SequenceParams:
     return SequenceParams(**params.model_dump(exclude={"sequences"}))
 
 
+def _folder(given: Given) -> Path:
+    return Path("recordings" if given.get("render") else "runs") / given["environment"]
+
+
+def _render(folder: Path, params: SimulateParams, jobs: int, force: bool) -> Told:
+    names = record_sequences(folder, params, jobs=jobs, force=force)
+    return {"recording": str(folder), "sequences": names}, [f"{folder}: {len(names)} sequences"]
+
+
 STAGE = Stage(
     "simulate",
     "simulate true particles",
@@ -38,6 +48,14 @@ STAGE = Stage(
     run="piegraph_cli.stages.simulate:run",
     units=_units,
     settings=_settings,
+    call=Call(
+        more="True particles of random strokes, as tracks of a run; with --render, a recording like one of real cameras.",
+        argument="environment",
+        first=("sequences", "strokes", "modes", "options", "particles", "seed"),
+        folder=Folder("out", "folder [default: runs/ENVIRONMENT, or recordings/ENVIRONMENT with --render]", _folder),
+        counts="strokes",
+        instead=Instead("render", "record it with four RGB-D cameras and a hand", _render),
+    ),
 )
 
 

@@ -4,11 +4,14 @@ A unit is a model trained from one seed, `pgnd@20.seed1`; so a larger grid keeps
 """
 
 import math
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.dynamics.params import ModelParams, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import LEARNED, ModelParams, TrainParams, split_label, trained_label
 from piegraph_cli.errors import MissingError
+from piegraph_cli.params import validated
+from piegraph_cli.workspace.call import Call, Given, Option, options_of
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -70,6 +73,62 @@ def _command(run: "Run", unit: Unit) -> str:
     return f"piegraph train --run {run.folder} --model {label} --seed {seed}"
 
 
+_OF_ALL = ("checkpoint_every", "tensorboard")
+"""Settings that are not those of one model."""
+
+
+def _options() -> dict[str, Option]:
+    """A model, its seeds, and every setting of any model: what it means, and whose it is with which default."""
+    model = f"model to train, beside the run's others; pgnd@20: on 20 sequences; one of {', '.join(LEARNED)}"
+    options = {
+        "model": Option(str, model, "all of the run"),
+        "seed": Option(
+            str, "seeds, as in 0,1,2, of weights, batches and choice of sequences; with --model, of this model"
+        ),
+    }
+    by_name: dict[str, dict[str, Option]] = {}
+    for learner, params in LEARNED.items():
+        for name, option in options_of(params).items():
+            by_name.setdefault(name, {})[learner] = option
+    for name, of in by_name.items():
+        whose = {o.default: [model for model, other in of.items() if other.default == o.default] for o in of.values()}
+        models = "; ".join(", ".join(m) + (f" [default: {default}]" if default else "") for default, m in whose.items())
+        meanings = ", or: ".join(dict.fromkeys(option.meaning for option in of.values()))
+        options[name] = Option(next(iter(of.values())).kind, f"{meanings} ({models})")
+    return options | {name: option for name, option in options_of(TrainParams).items() if name in _OF_ALL}
+
+
+def _apply(run: "Run", given: Given) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Settings of the call's model, and its units from the seeds of the call: the run's other models are left alone.
+
+    A model that the run has already keeps its seeds beside those of the call. Without a model, seeds are those of all.
+    """
+    values = {name: value for name, value in given.items() if name in _OF_ALL}
+    settings = {name: value for name, value in given.items() if name not in (*_OF_ALL, "model", "seed")}
+    params: TrainParams = run.params(STAGE.name)
+    model, seeds = given.get("model"), _seeds(given.get("seed"))
+    label = (trained_label(model) or model) if model else "piegraph"
+    if settings:
+        name = re.split("[:@]", label)[0]
+        values[name] = run.recipe.sections.get(STAGE.name, {}).get(name, {}) | settings
+    if model is None:
+        return values | ({"seeds": seeds} if seeds else {}), ()
+    named = "models" in run.recipe.sections.get(STAGE.name, {})
+    known = [other for other in params.models if named or any((run.folder / "model").glob(f"{other}.seed*.h5"))]
+    if seeds:
+        own = params.seeds_of(label) if label in known else ()
+        values["model_seeds"] = params.model_seeds | {label: tuple(dict.fromkeys((*own, *seeds)))}
+    names = tuple(model_name(label, seed) for seed in seeds or params.seeds_of(label))
+    return values | {"models": list(dict.fromkeys([*known, label]))}, names
+
+
+def _seeds(text: str | None) -> tuple[int, ...]:
+    """The seeds of the command line, checked; none where it names none."""
+    if text is None:
+        return ()
+    return validated(TrainParams, {"seeds": text}, "train", "piegraph train", "piegraph train --help").seeds
+
+
 STAGE = Stage(
     "train",
     "train models",
@@ -83,6 +142,12 @@ STAGE = Stage(
     settings=_settings,
     inputs=_inputs,
     command=_command,
+    call=Call(
+        more="Settings are those of --model (piegraph where it is left out); those that it does not have are refused.",
+        first=("model", "seed", "steps", "batch", "learning_rate", "hidden", "layers"),
+        options=_options,
+        apply=_apply,
+    ),
 )
 
 

@@ -13,6 +13,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
+from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -84,6 +85,10 @@ STAGE = Stage(
     on_demand=True,
     units=_units,
     settings=_settings,
+    call=Call(
+        first=("envs", "models", "goals", "seeds", "strokes", "options"),
+        describe="piegraph_cli.stages.trials:describe",
+    ),
 )
 
 

@@ -6,9 +6,10 @@ The stages themselves are in `stages/`, each in a module of its own; nothing her
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.params import Params
+from piegraph_cli.workspace.call import Call
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,11 +51,17 @@ class Stage:
     """What one unit reads; by default what is read of the unit of the same name."""
     command: Callable[["Run", Unit], str] | None = None
     """The command that makes one unit, for hints; by default a run of the recipe up to this stage."""
+    call: Call = field(default_factory=Call)
 
     def load(self) -> Callable[..., "Output"]:
         """Import the stage's function."""
-        module, function = self.run.split(":")
-        return getattr(importlib.import_module(module), function)
+        return load(self.run)
+
+
+def load(place: str) -> Any:
+    """Import what is named by `module:name`."""
+    module, name = place.split(":")
+    return getattr(importlib.import_module(module), name)
 
 
 Table = Mapping[str, Stage]

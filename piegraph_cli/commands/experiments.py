@@ -1,0 +1,67 @@
+"""The command that makes the paper's tables and figures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from piegraph_cli.commands import names
+from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs
+from piegraph_cli.commands.output import Report, emit, logging_to
+
+if TYPE_CHECKING:
+    from piegraph_cli.experiments.params import ExperimentParams
+    from piegraph_cli.workspace.execute import Options
+
+
+def reproduce(
+    experiment: Annotated[
+        str,
+        typer.Argument(
+            help=f"{', '.join(names.experiments())}, or all (docs/experiments.md)",
+            metavar="EXPERIMENT",
+            autocompletion=lambda: [*names.experiments(), "all"],
+        ),
+    ],
+    runs: Annotated[
+        Path | None,
+        typer.Option(help="folder of the experiments' runs [default: runs/paper, or runs/quick with --quick]"),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")] = False,
+    set: Annotated[
+        list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
+    ] = None,
+    envs: Annotated[str, typer.Option(help="environments to do, as tblock,toy [default: all it has]")] = "",
+    show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
+    jobs: Jobs = 1,
+    backend: Backend = "local",
+    device: Device = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Run an experiment of the paper, and print its table.
+
+    Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
+    """
+    from piegraph_cli.experiments.recipes import load_experiment
+    from piegraph_cli.workspace.execute import Options
+
+    folder = runs or Path("runs") / ("quick" if quick else "paper")
+    wanted = [experiment] if experiment != "all" else list(names.experiments())
+    of = [env.strip() for env in envs.split(",") if env.strip()]
+    chosen = {name: load_experiment(name, quick, set or (), of) for name in wanted}
+    options = None if show else Options((), False, jobs, backend, device)
+    reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
+    lines = [line for report in reports.values() for line in ("", *report.lines)]
+    code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
+    emit(Report({name: report.value for name, report in reports.items()}, lines[1:], code), as_json)
+
+
+def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Options | None") -> Report:
+    """Do what an experiment's runs lack, unless no options say how, and read its table."""
+    from piegraph_cli.experiments.run import run_experiment, write_report
+
+    with logging_to(folder):
+        failed = run_experiment(name, params, folder, options) if options else []
+        value, text, pictures = write_report(name, params, folder)
+    value |= {"pictures": [str(p) for p in pictures], "failed": [str(e) for e in failed]}
+    return Report(value, [*text, "", *map(str, pictures)], failed[0].exit_code if failed else 0)

@@ -1,0 +1,133 @@
+"""The program: its commands in groups, their help, and how it ends: exit codes, errors without a traceback, Ctrl-C."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from piegraph_cli import __version__
+from piegraph_cli.commands import experiments, runs, tools
+from piegraph_cli.commands.stages import stage_commands
+from piegraph_cli.errors import PiegraphError
+
+INTERRUPTED = 130
+
+GROUPS: dict[str, dict[str, Callable[..., None]]] = {
+    "Stages, in the order of the pipeline": stage_commands(),
+    "Runs": {"run": runs.run, "status": runs.status, "report": runs.report, "view": runs.view},
+    "Experiments": {"reproduce": experiments.reproduce},
+    "Tools": {
+        "list": tools.list_names,
+        "calibrate": tools.calibrate,
+        "doctor": tools.doctor,
+        "bench": tools.bench,
+    },
+}
+"""All commands by name, under the headings of the help."""
+
+
+def _write_sections(formatter: Any, rows: Iterable[tuple[str, tuple[str, str]]]) -> None:
+    """Rows of a help text, each under its heading, in the order of the headings' first rows."""
+    sections: dict[str, list[tuple[str, str]]] = {}
+    for heading, row in rows:
+        sections.setdefault(heading, []).append(row)
+    for heading, of in sections.items():
+        with formatter.section(heading):
+            formatter.write_dl(of)
+
+
+def _write_options(command: Any, ctx: Any, formatter: Any) -> None:
+    """Arguments, then options under the headings they name."""
+    rows = [(param, param.get_help_record(ctx)) for param in command.get_params(ctx)]
+    heading = {"argument": "Arguments", "option": "Options"}
+    named = [(getattr(p, "rich_help_panel", None) or heading[p.param_type_name], row) for p, row in rows if row]
+    _write_sections(formatter, sorted(named, key=lambda item: item[0] not in heading.values()))
+
+
+class Command(TyperCommand):
+    """A command whose options stand under headings."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the sections of the options."""
+        _write_options(self, ctx, formatter)
+
+
+class Group(TyperGroup):
+    """The program, whose commands stand under headings."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the sections of the commands, then the options."""
+        width = formatter.width - 6 - max(map(len, self.commands))
+        commands: Any = self.commands.values()
+        _write_sections(formatter, [(c.rich_help_panel, (c.name, c.get_short_help_str(width))) for c in commands])
+        _write_options(self, ctx, formatter)
+
+
+def _version(value: bool) -> None:
+    if value:
+        print(f"piegraph {__version__}")
+        raise typer.Exit()
+
+
+def _options_of_all(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version", show_default=False)
+    ] = False,
+) -> None:
+    """Learn how an object moves from RGB-D recordings of a person handling it, and plan with what was learned."""
+
+
+def _make() -> typer.Typer:
+    made = typer.Typer(
+        cls=Group,
+        callback=_options_of_all,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    for heading, commands in GROUPS.items():
+        for name, command in commands.items():
+            made.command(name, cls=Command, rich_help_panel=heading)(command)
+    return made
+
+
+app = _make()
+
+
+def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Ctrl-C that falls into a destructor, where Python drops exceptions, comes once more."""
+    if unraisable.exc_type is KeyboardInterrupt:
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def call(arguments: Sequence[str]) -> int:
+    """Run one command line; returns its exit code. A user's mistake is one message, never a traceback."""
+    try:
+        code = app(list(arguments) or ["--help"], prog_name="piegraph", standalone_mode=False)
+        if code == INTERRUPTED:
+            raise KeyboardInterrupt
+        return int(code or 0)
+    except PiegraphError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        print("interrupted; the same command goes on from here", file=sys.stderr)
+        return INTERRUPTED
+    except typer.TyperException as error:
+        context = getattr(error, "ctx", None)
+        command = f"piegraph {context.info_name}" if context is not None and context.parent is not None else "piegraph"
+        print(f"error: {error.format_message()}\n  try: {command} --help", file=sys.stderr)
+        return error.exit_code
+
+
+def main() -> None:
+    """The `piegraph` program."""
+    sys.unraisablehook = _interrupt_again
+    sys.exit(call(sys.argv[1:]))

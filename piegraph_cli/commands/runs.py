@@ -1,0 +1,124 @@
+"""Commands on whole runs: running a recipe, and looking at what there is."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from piegraph_cli.commands.names import recipes
+from piegraph_cli.commands.options import AsJson, Backend, Device, Force, Jobs, RunFolder, Settings
+from piegraph_cli.commands.output import Report, emit, logging_to, summary
+from piegraph_cli.commands.stages import require_run
+from piegraph_cli.errors import UsageError
+from piegraph_cli.files import atomic_file
+from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting
+
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.execute import Options, Outcome
+    from piegraph_cli.workspace.run import Run
+
+
+def run(
+    recipe: Annotated[
+        str | None,
+        typer.Argument(
+            help=f"a .toml file, or one of {', '.join(recipes())}",
+            metavar="RECIPE",
+            autocompletion=lambda: list(recipes()),
+        ),
+    ] = None,
+    run: Annotated[Path | None, typer.Option("--run", help="run folder [default: runs/RECIPE]")] = None,
+    until: Annotated[str | None, typer.Option(help="last stage to run")] = None,
+    set: Settings = None,
+    force: Force = False,
+    jobs: Jobs = 1,
+    backend: Backend = "local",
+    device: Device = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Run a recipe's stages that are not fresh."""
+    from piegraph_cli.workspace.execute import Options
+
+    if recipe is None and (run is None or not (run / "recipe.toml").exists()):
+        raise UsageError("no recipe given", hint="piegraph run RECIPE, or --run with a folder that has a recipe.toml")
+    folder = run or Path("runs") / Path(str(recipe)).stem
+    opened = open_run(folder)
+    if recipe is not None:
+        opened.recipe = load_recipe(find_recipe(recipe), STAGES)
+    named = opened.recipe
+    for text in set or []:
+        stage, setting, value = parse_setting(text, STAGES)
+        opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}", Path.cwd())
+    names = [stage.name for stage in opened.recipe.chain()]
+    if until is not None and until not in names:
+        raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
+    with logging_to(folder):
+        outcomes = _run(opened, named, until, Options((), force, jobs, backend, device))
+    emit(summary(outcomes, folder), as_json)
+
+
+def _run(run: "Run", named: Recipe, until: str | None, options: "Options") -> "list[Outcome]":
+    """Run the chain. The recipe is kept from the beginning, so that a killed run goes on with it.
+
+    Where it is refused, the run has the recipe again that it had before, or `named` where it had none.
+    """
+    from piegraph_cli.workspace.execute import run_chain
+
+    path = run.folder / "recipe.toml"
+    before = path.read_bytes() if path.exists() else None
+
+    def take_back() -> None:
+        if before is None:
+            named.save(path)
+        else:
+            with atomic_file(path) as temporary:
+                temporary.write_bytes(before)
+
+    run.save_recipe()
+    try:
+        outcomes = run_chain(run, until, options)
+    except UsageError:
+        take_back()
+        raise
+    if any(isinstance(o.error, UsageError) for o in outcomes):
+        take_back()
+    return outcomes
+
+
+def status(run: RunFolder, as_json: AsJson = False) -> None:
+    """List a run's artifacts: fresh, stale or failed."""
+    from piegraph_cli.workspace.execute import status as rows_of
+
+    require_run(run)
+    rows = rows_of(open_run(run))
+    width = max(16, *(len(r["unit"] or "") for r in rows))
+    lines = [f"{'stage':10s} {'unit':{width}s} {'state':8s} quality"]
+    for r in rows:
+        why = (r["quality"] or r["failure"] or r["reason"]).replace("\n ", ";")
+        lines.append(f"{r['stage']:10s} {r['unit'] or '-':{width}s} {r['state']:8s} {why}")
+    emit(Report({"run": str(run), "artifacts": rows}, lines), as_json)
+
+
+def report(run: RunFolder, as_json: AsJson = False) -> None:
+    """Draw a run's pictures into RUN/report."""
+    from piegraph_cli.report.draw import draw_report
+
+    require_run(run)
+    with logging_to(run):
+        files = draw_report(run)
+    emit(Report({"pictures": [str(f) for f in files]}, [str(f) for f in files]), as_json)
+
+
+def view(
+    run: RunFolder,
+    sequence: Annotated[str | None, typer.Option(help="sequence to show [default: the first]")] = None,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="port on this machine")] = 8080,
+) -> None:
+    """Show clouds and tracks in the browser.
+
+    Serves on 127.0.0.1 only, until interrupted.
+    """
+    from piegraph_cli.viewer.serve import serve
+
+    serve(run, sequence, port)

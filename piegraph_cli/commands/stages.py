@@ -1,0 +1,100 @@
+"""The commands of the stages, all of them made from the stages' records."""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from inspect import Signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piegraph_cli.commands.options import stage_parameters
+from piegraph_cli.commands.output import Report, emit, logging_to, summary, with_failures
+from piegraph_cli.errors import UsageError
+from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.workspace.call import options_of
+from piegraph_cli.workspace.stage import Stage, load
+
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.execute import Options, Outcome
+    from piegraph_cli.workspace.run import Run
+
+
+def stage_commands() -> dict[str, Callable[..., None]]:
+    """A command per stage, in the order of the pipeline."""
+    return {stage.name: _command(stage) for stage in STAGES.values()}
+
+
+def require_run(folder: Path) -> None:
+    """Refuse a folder that is no run."""
+    if not (folder / "recipe.toml").exists():
+        raise UsageError(
+            "not a run folder: it has no recipe.toml", str(folder), "start with piegraph ingest, or piegraph run"
+        )
+
+
+def _command(stage: Stage) -> Callable[..., None]:
+    call = stage.call
+    options = call.options() if call.options else options_of(stage.params)
+
+    def command(
+        folder: Path | None, force: bool, jobs: int, backend: str, device: str, as_json: bool, **values: Any
+    ) -> None:
+        from piegraph_cli.workspace.execute import Options
+
+        given = {name: value for name, value in values.items() if value is not None}
+        if folder is None:
+            assert call.folder.default is not None
+            folder = call.folder.default(given)
+        instead = call.instead if call.instead and given.pop(call.instead.flag) else None
+        run = open_run(folder)
+        settings, units = call.apply(run, given) if call.apply else (given, ())
+        run.recipe = run.recipe.with_values(stage, settings, f"piegraph {stage.name}", Path.cwd())
+        if instead:
+            emit(Report(*instead.make(folder, run.recipe.params(stage), jobs, force)), as_json)
+            return
+        if stage.reads:
+            require_run(folder)
+        with logging_to(folder):
+            report = _run(stage, run, Options(units, force, jobs, backend, device))  # type: ignore[arg-type]
+        emit(report, as_json)
+
+    command.__signature__ = Signature(stage_parameters(call, options))  # type: ignore[attr-defined]
+    command.__doc__ = f"{stage.help[0].upper()}{stage.help[1:]}.\n\n{call.more}".strip()
+    return command
+
+
+def _run(stage: Stage, run: "Run", options: "Options") -> Report:
+    """Run the stage; keep settings that worked in the recipe, where the stage's are kept at all."""
+    from piegraph_cli.workspace.execute import LeftOut, run_stage
+
+    begin = time.monotonic()
+    outcomes = run_stage(run, stage, options)
+    seconds = time.monotonic() - begin
+    for outcome in outcomes:
+        if isinstance(outcome.error, LeftOut):
+            logging.getLogger("piegraph").error("%s", outcome.error)
+    if stage.call.remembers and _accepted(outcomes):
+        run.save_recipe()
+    return _report(stage, open_run(run.folder, run.recipe), outcomes, seconds)
+
+
+def _accepted(outcomes: "Sequence[Outcome]") -> bool:
+    """Whether settings worked: for one unit at least, and none was refused or lacked what it reads."""
+    from piegraph_cli.errors import InputError
+
+    refused = any(isinstance(o.error, (UsageError, InputError)) for o in outcomes)
+    return not refused and any(not o.error for o in outcomes)
+
+
+def _report(stage: Stage, run: "Run", outcomes: "Sequence[Outcome]", seconds: float) -> Report:
+    """What the run has now, where the stage tells it; else, or where its only unit failed, what became of the units."""
+    if stage.call.describe and not any(o.unit is None and o.error for o in outcomes):
+        value, lines = load(stage.call.describe)(run)
+        return with_failures(value, lines, outcomes) if stage.unit != "run" else Report(value, lines)
+    report = summary(outcomes, run.folder)
+    made = sum(o.state == "done" for o in outcomes)
+    if stage.call.counts and made:
+        rate = made * getattr(run.recipe.params(stage), stage.call.counts) / seconds
+        report.value[f"{stage.call.counts}_per_second"] = rate
+        report.lines.append(f"{rate:.1f} {stage.call.counts} a second")
+    return report

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from piegraph_cli.planning.model import Model as Model
     from piegraph_cli.stages import open_run as open_run
     from piegraph_cli.stages import sequences as sequences
-    from piegraph_cli.stages.learning import load_model as load_model
-    from piegraph_cli.stages.learning import save_model as save_model
+    from piegraph_cli.stages.models import load_model as load_model
+    from piegraph_cli.stages.models import save_model as save_model
     from piegraph_cli.stages.points import read_points as read_points
     from piegraph_cli.stages.track import track_clouds as track_clouds
     from piegraph_cli.workspace.artifact import Artifact as Artifact
@@ -29,11 +29,11 @@ _FACE = {
     "Model": "planning.model",
     "Run": "workspace.run",
     "Strokes": "dynamics.stroke",
-    "load_model": "stages.learning",
+    "load_model": "stages.models",
     "open_run": "stages",
     "read_artifact": "workspace.artifact",
     "read_points": "stages.points",
-    "save_model": "stages.learning",
+    "save_model": "stages.models",
     "sequences": "stages",
     "track_clouds": "stages.track",
 }

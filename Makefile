@@ -10,7 +10,9 @@ export PYTHONUNBUFFERED := 1
 
 EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
 
-.PHONY: setup demo test smoke lint tables libraries clean reproduce $(EXPERIMENTS)
+SAMPLE ?= 150
+
+.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -51,6 +53,10 @@ test: setup
 smoke: setup
 	$(BIN)/piegraph run pipelines/demo.toml --run runs/smoke --jobs $(JOBS) --set train.piegraph.steps=100 --set plan.strokes=2
 	$(BIN)/piegraph status --run runs/smoke
+
+# do the tests notice mistakes? SAMPLE small changes to the code, one at a time; see docs/testing.md
+mutants: setup
+	$(BIN)/python -m tests.mutation.run --sample $(SAMPLE) --jobs $(JOBS)
 
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept

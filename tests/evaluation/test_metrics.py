@@ -9,7 +9,7 @@ from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance,
 from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.evaluation.statistics import bootstrap_mean
 from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance
-from piegraph_cli.stages.evaluate import _evaluate_sequence
+from piegraph_cli.evaluation.windows import window_metrics
 
 LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
 
@@ -99,7 +99,7 @@ def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
     }
     rows = [
         list(
-            _evaluate_sequence(
+            window_metrics(
                 sequence, None, None, ModelEvaluateParams(label="static", horizons=(1,), spring_radius=radius)
             )
         )

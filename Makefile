@@ -1,20 +1,31 @@
 # piegraph: `make demo` and `make test` set up .venv and need nothing else; see README.md.
 PYTHON ?= python3
 JOBS ?= 2
+# the address of PyTorch's CPU index (PyTorch's install page has it): torch without CUDA; docs/install.md
+TORCH_INDEX ?=
 BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
 LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1
 export PYTHONUNBUFFERED := 1
 
 EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
 
-.PHONY: setup demo test smoke lint libraries clean reproduce $(EXPERIMENTS)
+SAMPLE ?= 150
+
+.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce $(EXPERIMENTS)
 
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 10) <= v < (3, 13) else f"piegraph needs Python 3.10 to 3.12, this is {v[0]}.{v[1]}: make PYTHON=python3.12 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { $(PYTHON) -m pip install --user virtualenv && $(PYTHON) -m virtualenv .venv; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[sim,dev]'
+	@if [ -n "$(TORCH_INDEX)" ]; then \
+		$(PIP) install --quiet -c constraints.txt --no-deps --index-url "$(TORCH_INDEX)" torch; \
+	elif [ "$$(uname -sm)" = "Linux x86_64" ] && [ ! -e /proc/driver/nvidia/version ] \
+		&& ! $(PIP) install --dry-run -c constraints.txt --no-deps torch 2>/dev/null | grep -qE '\+cpu|already satisfied'; then \
+		echo "There is no NVIDIA GPU here, and torch brings CUDA along, 4 GB; make TORCH_INDEX=... does without: docs/install.md"; \
+	fi
+	$(PIP) install --quiet -c constraints.txt -e '.[sim,dev]'
 	@$(BIN)/python -c 'import cv2, mediapipe, open3d' 2>/dev/null || $(MAKE) --no-print-directory libraries
 	$(BIN)/piegraph doctor --fetch hand-landmarker
 	@touch $@
@@ -34,13 +45,18 @@ demo: setup
 	$(BIN)/piegraph evaluate --run runs/demo
 	$(BIN)/piegraph report --run runs/demo
 
+# a file's tests stay in one process; runs that several files read are made once for all
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 # a few minutes: every stage on the sample with a short training, into a folder of its own
 smoke: setup
 	$(BIN)/piegraph run pipelines/demo.toml --run runs/smoke --jobs $(JOBS) --set train.piegraph.steps=100 --set plan.strokes=2
 	$(BIN)/piegraph status --run runs/smoke
+
+# do the tests notice mistakes? SAMPLE small changes to the code, one at a time; see docs/testing.md
+mutants: setup
+	$(BIN)/python -m tests.mutation.run --sample $(SAMPLE) --jobs $(JOBS)
 
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept
@@ -54,6 +70,10 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# the tables of README.md and docs/ from results/
+tables: setup
+	$(BIN)/python -m tools.tables
 
 clean:
 	rm -rf .venv runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

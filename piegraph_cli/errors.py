@@ -33,6 +33,10 @@ class DataError(PiegraphError):
     exit_code = 3
 
 
+class InputError(DataError):
+    """What a stage reads was not made yet."""
+
+
 class MissingError(PiegraphError):
     """A package, weight file or device that this machine lacks."""
 

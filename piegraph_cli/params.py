@@ -25,9 +25,8 @@ def _check_box(box: tuple[float, ...]) -> tuple[float, ...]:
 
 
 Mode = Literal["push", "pick"]
+"""What a stroke does, as people write it; arrays hold its number."""
 PUSH, PICK = 0, 1
-MODE_NAMES = get_args(Mode)
-"""Names of the modes of a stroke, by number."""
 Pose2 = Annotated[tuple[float, float, float], BeforeValidator(split_commas)]
 Box = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(split_commas), AfterValidator(_check_box)
@@ -38,6 +37,17 @@ Lengths = Annotated[
 ]
 Thresholds = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(split_commas), Field(min_length=1)]
 Modes = Annotated[tuple[Mode, ...], BeforeValidator(split_commas)]
+
+
+def mode_number(word: str) -> int:
+    """`PUSH` or `PICK`."""
+    return get_args(Mode).index(word)
+
+
+def mode_word(number: int) -> str:
+    """`push` or `pick`; `mode 7` where there is no such mode."""
+    words = get_args(Mode)
+    return words[number] if 0 <= number < len(words) else f"mode {number}"
 
 
 class Params(BaseModel):

@@ -1,9 +1,12 @@
-"""Runs that several tests share, made once per session."""
+"""Runs that several tests share, made once, however many processes share the tests."""
 
+import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from tests.cli import REPOSITORY, piegraph
 
@@ -51,39 +54,48 @@ strokes = 2
 
 
 @pytest.fixture(scope="session")
-def tiny_recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """`shared(name, make)`: a path that `make` fills, once for all processes of pytest-xdist: the others wait."""
+    base = tmp_path_factory.getbasetemp()
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        path, done = folder / "shared" / name, folder / "shared" / f"{name}.done"
+        path.parent.mkdir(exist_ok=True)
+        with FileLock(f"{path}.lock"):
+            if not done.exists():
+                make(path)
+                done.touch()
+        return path
+
+    return once
+
+
+@pytest.fixture(scope="session")
+def tiny_recipe(shared) -> Path:
     """A recipe that runs the simulated chain in seconds."""
-    path = tmp_path_factory.mktemp("recipe") / "tiny.toml"
-    path.write_text(TINY)
-    return path
+    return shared("tiny.toml", lambda path: path.write_text(TINY))
 
 
 @pytest.fixture(scope="session")
-def tiny_run(tiny_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiny_run(tiny_recipe: Path, shared) -> Path:
     """The finished run of the tiny recipe: read it, never write to it."""
-    folder = tmp_path_factory.mktemp("runs") / "tiny"
-    piegraph("run", tiny_recipe, "--run", folder)
-    return folder
+    return shared("tiny", lambda folder: piegraph("run", tiny_recipe, "--run", folder))
 
 
 @pytest.fixture(scope="session")
-def sample_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sample_run(shared) -> Path:
     """The demo recipe on the sample recording, with a short training: read it, never write to it."""
-    folder = tmp_path_factory.mktemp("runs") / "sample run"
     recipe = REPOSITORY / "pipelines" / "demo.toml"
-    piegraph(
-        "run", recipe, "--run", folder, "--jobs", 2, "--set", "train.piegraph.steps=300", "--set", "plan.strokes=3"
-    )
-    return folder
+    settings = ("--jobs", 2, "--set", "train.piegraph.steps=300", "--set", "plan.strokes=3")
+    return shared("sample run", lambda folder: piegraph("run", recipe, "--run", folder, *settings))
 
 
 @pytest.fixture(scope="session")
-def sam_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sam_checkpoint(shared) -> Path:
     """Weights of a small Segment Anything model, trained on the spot."""
     import torch
 
     from tests.perception.tiny_sam import train
 
-    path = tmp_path_factory.mktemp("sam") / "tiny.pt"
-    torch.save(train(steps=60).state_dict(), path)
-    return path
+    return shared("tiny.pt", lambda path: torch.save(train(steps=60).state_dict(), path))

@@ -4,6 +4,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,13 @@ import pytest
 
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import read_artifact
-from tests.cli import piegraph
+from tests.cli import PROGRAM, piegraph
 
 KILLER = Path(__file__).parent / "killer.py"
 
 
 def killed(after: int, *arguments: object) -> None:
-    done = subprocess.run([sys.executable, KILLER, str(after), *map(str, arguments)], capture_output=True, timeout=300)
+    done = subprocess.run([sys.executable, KILLER, str(after), *map(str, arguments)], capture_output=True)
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
 
 
@@ -76,32 +77,15 @@ def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(tiny_run, folder)
     process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            "from piegraph_cli.commands.program import main; main()",
-            "train",
-            "--run",
-            folder,
-            "--steps",
-            "1000000",
-        ],
-        stderr=subprocess.PIPE,
-        text=True,
+        [*PROGRAM, "train", "--run", folder, "--steps", "1000000"], stderr=subprocess.PIPE, text=True
     )
     log = folder / "run.log"
     size = log.stat().st_size
-    for _ in range(600):
-        if (folder / "checkpoints" / "train.piegraph.seed0.h5").exists():
-            break
-        try:
-            process.wait(0.1)
-        except subprocess.TimeoutExpired:
-            continue
-        break
+    while not (folder / "checkpoints" / "train.piegraph.seed0.h5").exists() and process.poll() is None:
+        time.sleep(0.05)
     assert log.stat().st_size > size
     process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
+    _, stderr = process.communicate()
     assert process.returncode == 130
     assert "goes on from here" in stderr
 
@@ -122,6 +106,6 @@ def work(*arguments, **options):
 program.app = work
 program.main()
 """
-    process = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, timeout=40)
+    process = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
     assert process.returncode == 130
     assert "goes on from here" in process.stderr

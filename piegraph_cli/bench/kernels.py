@@ -8,10 +8,12 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores, peak
-from piegraph_cli.dynamics.action import FEATURES, make_strokes
+from piegraph_cli.dynamics.action import FEATURES
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import EGNNParams
+from piegraph_cli.dynamics.stroke import Strokes
+from piegraph_cli.params import PUSH
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import guide
@@ -53,11 +55,11 @@ def random_object(particles: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform([0, 0, 0.01], [side, side, 0.04], (particles, 3))
 
 
-def random_strokes(batch: int, rng: np.random.Generator) -> Tensor:
-    """Pushes [B, 7] of 5 to 20 cm."""
+def random_strokes(batch: int, rng: np.random.Generator) -> Strokes:
+    """Pushes [B] of 5 to 20 cm."""
     start, heading = rng.uniform(0, 0.2, (batch, 2)), rng.uniform(0, 2 * np.pi, batch)
     end = start + rng.uniform(0.05, 0.2, (batch, 1)) * np.stack([np.cos(heading), np.sin(heading)], 1)
-    return make_strokes(start.astype(np.float32), end.astype(np.float32), torch.zeros(batch))
+    return Strokes.of(start.astype(np.float32), end.astype(np.float32), PUSH)
 
 
 def graph_of(rest: np.ndarray, count: int) -> SpringGraph:
@@ -135,7 +137,7 @@ def _network(batch: int, particles: int, cores: int = 1, reference: bool = False
     few = slice(min(batch, CHECKED))
     exact = Rest(known.positions.double(), known.neighbors)
     with torch.no_grad():
-        true = _in_chunks(copy.deepcopy(network).double(), state[few].double(), strokes[few].double(), exact)
+        true = _in_chunks(copy.deepcopy(network).double(), state[few].double(), strokes[few].to(torch.float64), exact)
     error = check("egnn", float((predict()[few] - true).abs().max()), ALLOWED)
     with on_cores(cores):
         seconds = median_seconds(predict)
@@ -152,6 +154,6 @@ def _network(batch: int, particles: int, cores: int = 1, reference: bool = False
     return Row("egnn", f"{batch} x {particles}", seconds, cores, error, flop, traffic, slow, share)
 
 
-def _in_chunks(network: EGNN, state: Tensor, strokes: Tensor, rest: Rest) -> Tensor:
+def _in_chunks(network: EGNN, state: Tensor, strokes: Strokes, rest: Rest) -> Tensor:
     pairs = zip(state.split(REFERENCE_CHUNK), strokes.split(REFERENCE_CHUNK), strict=True)
     return torch.cat([network(x, s, rest.expand(len(x))) for x, s in pairs])

@@ -12,8 +12,9 @@ from piegraph_cli.bench.kernels import network_flop, random_object, random_strok
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.models import MODELS, Predict, Trained, make_network, make_predict
+from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
 from piegraph_cli.dynamics.params import LEARNED, EGNNParams, LearningParams
+from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import UsageError
 from piegraph_cli.params import PUSH
@@ -22,9 +23,9 @@ from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.physics.tracking import track
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.planner import stroke_space
 from piegraph_cli.planning.search import plan_strokes
 from piegraph_cli.stages import STAGES, open_run, sequences
-from piegraph_cli.stages.closed_loop import stroke_space
 from piegraph_cli.stages.simulate import make_environment
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Checkpoint
@@ -68,19 +69,19 @@ def _learned_block() -> tuple[Tensor, Trained]:
         after = environment.step(stroke)[0]
         starts.append(state)
         ends.append(after)
-        strokes.append([*stroke["start"], *stroke["end"], PUSH, 0, 0])
+        strokes.append(Strokes.of(stroke["start"], stroke["end"], stroke["mode"]))
         state = after
     owner = np.zeros(len(strokes), int)
     params = EGNNParams(steps=TRAINED)
-    pairs = Pairs(np.array(starts), np.array(ends), np.array(strokes), rest[None], owner, owner, params.neighbors)
+    pairs = Pairs(np.array(starts), np.array(ends), Strokes.stack(strokes), rest[None], owner, owner, params.neighbors)
     trainer = Trainer(make_network("piegraph", params, False, 0), pairs, None, params, 0)
     for _ in range(TRAINED):
         trainer.step()
-    return torch.as_tensor(rest), Trained(trainer.network.requires_grad_(False), params, 0.0)
+    return torch.as_tensor(rest), Trained(trainer.network.requires_grad_(False), params, 0.0, (PUSH,), len(rest))
 
 
 def _plan(state: Tensor, trained: Trained, params: PlanParams, cores: int) -> Row:
-    space = stroke_space(state, params, (PUSH,))
+    space = stroke_space(state, params, (PUSH,), params.pusher_radius)
     cost = make_cost("distance", state + torch.tensor([0.1, 0.05, 0.0]), len(state))
     predict, slow = make_predict(params.model, trained, state, params), _reference(trained, state, params)
 
@@ -109,7 +110,7 @@ def _reference(trained: Trained, state: Tensor, params: PlanParams) -> Predict:
     rest, graph = Rest.of(state[None], network.neighbors), build_springs(state.numpy(), params.spring_radius)
 
     @torch.no_grad()
-    def predict(positions: Tensor, strokes: Tensor) -> Tensor:
+    def predict(positions: Tensor, strokes: Strokes) -> Tensor:
         pairs = zip(positions.split(25), strokes.split(25), strict=True)
         setpoint = torch.cat([network(x, s, rest.expand(len(x))) for x, s in pairs])
         return guide(positions, setpoint, graph, params) if params.model == "piegraph" else setpoint
@@ -160,7 +161,7 @@ def _carried_sequences() -> Sequences:
     """Strokes of eight frames that carry an object of 50 particles along."""
     rng = np.random.default_rng(0)
     rest = random_object(50, rng)
-    ends = random_strokes(STROKES, rng).numpy()[:, :4].reshape(-1, 2, 2)
+    ends = random_strokes(STROKES, rng).ends.numpy()
     travelled = np.linspace(0, 1, STROKE_FRAMES)[:, None] * (ends[:, 1] - ends[:, 0])[:, None]
     first = np.arange(STROKES) * STROKE_FRAMES
     pairs = np.array([[a + i, a + j] for a in first for i in range(STROKE_FRAMES) for j in range(i + 2, STROKE_FRAMES)])

@@ -67,7 +67,7 @@ def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[O
     """What a run has of a stage and what it has not: units whose inputs nobody made, with the command that makes these,
     and units that failed.
     """
-    from piegraph_cli.workspace.execute import InputError
+    from piegraph_cli.errors import InputError
 
     missing = [(o, o.error) for o in outcomes if isinstance(o.error, InputError)]
     failed = [o for o in outcomes if o.error and not isinstance(o.error, InputError)]

@@ -80,7 +80,7 @@ def _run(stage: Stage, run: "Run", options: "Options") -> Report:
 
 def _accepted(outcomes: "Sequence[Outcome]") -> bool:
     """Whether settings worked: for one unit at least, and none was refused or lacked what it reads."""
-    from piegraph_cli.workspace.execute import InputError
+    from piegraph_cli.errors import InputError
 
     refused = any(isinstance(o.error, (UsageError, InputError)) for o in outcomes)
     return not refused and any(not o.error for o in outcomes)

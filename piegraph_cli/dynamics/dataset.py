@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs
 from piegraph_cli.dynamics.params import DatasetParams
-from piegraph_cli.dynamics.strokes import cut_strokes, frame_pairs
 from piegraph_cli.errors import DataError
 
 TRAIN, VALIDATION, TEST = 0, 1, 2

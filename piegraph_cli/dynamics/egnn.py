@@ -11,8 +11,8 @@ from piegraph_cli.dynamics.action import (
     canonical_action,
     grasped_particle,
     pick_features,
-    stroke_rotation,
 )
+from piegraph_cli.dynamics.stroke import Strokes
 
 DECIMETRE = 10.0
 """Inside the network lengths are in decimetres, so that features are near one."""
@@ -56,8 +56,8 @@ def gather_neighbors(values: torch.Tensor, neighbors: torch.Tensor) -> torch.Ten
     return flat.view(batch, particles, count, -1)
 
 
-def _scaled_pick_features(
-    positions: torch.Tensor, strokes: torch.Tensor, rest: torch.Tensor, grasp: torch.Tensor | None
+def scaled_pick_features(
+    positions: torch.Tensor, strokes: Strokes, rest: torch.Tensor, grasp: torch.Tensor | None
 ) -> torch.Tensor:
     """`pick_features` with lengths in decimetres; by default the particle nearest to a stroke's start is grasped."""
     grasp = grasped_particle(positions, strokes) if grasp is None else grasp
@@ -144,11 +144,11 @@ class EGNN(nn.Module):
     def forward(
         self,
         positions: torch.Tensor,
-        strokes: torch.Tensor,
+        strokes: Strokes,
         rest: Rest | None = None,
         grasp: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Positions [B, N, 3] (m) after strokes [B, 7].
+        """Positions [B, N, 3] (m) after strokes [B].
 
         `rest` is the objects' (by default the positions themselves), `grasp` [B] the particle that a pick holds (by default
         the nearest to the stroke's start).
@@ -159,7 +159,7 @@ class EGNN(nn.Module):
         features, sides = canonical_action(positions, strokes, self.mirror)
         features = features * torch.tensor(lengths, dtype=positions.dtype, device=positions.device)
         if self.picks:
-            features = torch.cat([features, _scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
+            features = torch.cat([features, scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
         h = self.embed(features)
         x = start = (positions - positions.mean(1, keepdim=True)) * DECIMETRE
         rest2 = (x[:, :, None] - gather_neighbors(x, neighbors)).square().sum(-1, keepdim=True)
@@ -168,105 +168,8 @@ class EGNN(nn.Module):
         if self.head is not None:
             ahead, aside = self.head(h).split([1, 2], -1)
             planar = torch.cat([ahead, (aside * sides).sum(-1, keepdim=True)], -1)
-            planar = planar @ stroke_rotation(strokes).transpose(1, 2)
+            planar = planar @ strokes.rotation.transpose(1, 2)
             x = x + torch.cat([planar, self.lift(h)], -1)
         else:
             x = x + torch.cat([torch.zeros_like(x[..., :2]), self.lift(h)], -1)
         return positions + (x - start) / DECIMETRE
-
-
-class ActionNodeEGNN(nn.Module):
-    """An EGNN that sees the stroke as two more nodes, its start and its end, in place of canonical actions.
-
-    Both send messages to every particle and stay where they are; differences to them are what lets particles move as one.
-    Source: paper, IV-B, ablation EGNN+G.
-    """
-
-    def __init__(self, neighbors: int, hidden: int, layers: int, picks: bool = False, pool: bool = True):
-        super().__init__()
-        self.neighbors, self.picks = neighbors, picks
-        self.embed = nn.Linear(5 + PICK_FEATURES * picks, hidden)
-        self.layers = nn.ModuleList(Layer(hidden, pool) for _ in range(layers))
-        self.lift = small_linear(hidden, 1)
-
-    def forward(
-        self,
-        positions: torch.Tensor,
-        strokes: torch.Tensor,
-        rest: Rest | None = None,
-        grasp: torch.Tensor | None = None,
-    ) -> torch.Tensor:
-        """As `EGNN.forward`."""
-        rest = rest or Rest.of(positions, self.neighbors)
-        batch, particles, _ = positions.shape
-        ends = strokes[:, :4].reshape(batch, 2, 2)
-        middle = positions.mean(1, keepdim=True)
-        ends = torch.cat([ends, middle[..., 2:].expand(-1, 2, -1)], -1)
-        kinds = torch.eye(3, dtype=positions.dtype, device=positions.device)
-        kinds = torch.cat([kinds[:1].expand(particles, -1), kinds[1:]])[None].expand(batch, -1, -1)
-        x = torch.cat([positions, ends], 1)
-        mode = strokes[:, None, 4:5].expand(-1, particles + 2, -1)
-        features = torch.cat([kinds, x[..., 2:] * DECIMETRE, mode], -1)
-        if self.picks:
-            more = _scaled_pick_features(positions, strokes, rest.positions, grasp)
-            features = torch.cat([features, torch.nn.functional.pad(more, (0, 0, 0, 2))], -1)
-        h = self.embed(features)
-        x = (x - middle) * DECIMETRE
-        start, x, fixed = x[:, :particles], x[:, :particles], x[:, particles:]
-        sent = torch.arange(particles, particles + 2, device=positions.device).expand(batch, particles, 2)
-        neighbors = torch.cat([rest.neighbors.expand(batch, -1, -1), sent], -1)
-        nodes, action = torch.cat([x, fixed], 1), h[:, particles:]
-        rest2 = (x[:, :, None] - gather_neighbors(nodes, neighbors)).square().sum(-1, keepdim=True)
-        for layer in self.layers:
-            h, x = layer(h, nodes, rest2, neighbors)
-            h, nodes = torch.cat([h, action], 1), torch.cat([x, fixed], 1)
-        lift = self.lift(h[:, :particles])
-        x = x + torch.cat([torch.zeros_like(x[..., :2]), lift], -1)
-        return positions + (x - start) / DECIMETRE
-
-
-class GNN(nn.Module):
-    """A graph network without equivariance: it sees particles and stroke along the world's axes, from the object's middle."""
-
-    def __init__(self, neighbors: int, hidden: int, layers: int, picks: bool = False, pool: bool = True):
-        super().__init__()
-        self.neighbors, self.picks = neighbors, picks
-        self.embed = nn.Linear(8 + PICK_FEATURES * picks, hidden)
-        self.pool = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(layers)) if pool else None
-        self.edges = nn.ModuleList(nn.Linear(4, hidden, bias=False) for _ in range(layers))
-        self.receive = nn.ModuleList(nn.Linear(hidden, hidden) for _ in range(layers))
-        self.send = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(layers))
-        self.update = nn.ModuleList(
-            nn.Sequential(nn.Linear(2 * hidden, hidden), nn.SiLU(), nn.Linear(hidden, hidden)) for _ in range(layers)
-        )
-        self.head = nn.Sequential(nn.Linear(hidden, hidden), nn.SiLU(), small_linear(hidden, 3))
-
-    def forward(
-        self,
-        positions: torch.Tensor,
-        strokes: torch.Tensor,
-        rest: Rest | None = None,
-        grasp: torch.Tensor | None = None,
-    ) -> torch.Tensor:
-        """As `EGNN.forward`."""
-        rest = rest or Rest.of(positions, self.neighbors)
-        batch, particles, _ = positions.shape
-        middle = positions[..., :2].mean(1)
-        ends = (strokes[:, :4] - middle.repeat(1, 2)) * DECIMETRE
-        x = torch.cat([positions[..., :2] - middle[:, None], positions[..., 2:]], -1) * DECIMETRE
-        shared = torch.cat([ends, strokes[:, 4:5]], -1)[:, None].expand(-1, particles, -1)
-        features = torch.cat([x, shared], -1)
-        if self.picks:
-            features = torch.cat([features, _scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
-        h = self.embed(features)
-        neighbors = rest.neighbors.expand(batch, -1, -1)
-        offset = x[:, :, None] - gather_neighbors(x, neighbors)
-        edge = torch.cat([offset, (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt()], -1)
-        for k, (edges, receive, send, update) in enumerate(
-            zip(self.edges, self.receive, self.send, self.update, strict=True)
-        ):
-            if self.pool is not None:
-                h = h + self.pool[k](h.mean(1, keepdim=True))
-            message = receive(h)[:, :, None] + gather_neighbors(send(h), neighbors) + edges(edge)
-            h = h + update(torch.cat([h, torch.nn.functional.silu(message).mean(2)], -1))
-        return positions + self.head(h) / DECIMETRE

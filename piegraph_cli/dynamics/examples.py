@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.egnn import Rest
 from piegraph_cli.dynamics.losses import dynamics_loss
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import PICK
 
 STILL = 1e-3
 """A hand that moves less than this between two frames (m) rests."""
@@ -39,7 +40,7 @@ class Sequences:
     @property
     def picks(self) -> bool:
         """Whether any stroke is a pick."""
-        return bool(self.mode.any())
+        return bool((self.mode == PICK).any())
 
     @property
     def pace(self) -> float:
@@ -52,20 +53,20 @@ class Sequences:
         first = self.strokes[:, 0]
         return np.linalg.norm(self.positions[first, :, :2] - self.hand[first, None], axis=-1).argmin(-1)
 
-    def whole(self) -> torch.Tensor:
-        """All strokes from their first to their last frame [S, 7]."""
+    def whole(self) -> Strokes:
+        """All strokes [S] from their first to their last frame."""
         first, last = self.strokes.T
-        return make_strokes(self.hand[first], self.hand[last], self.mode)
+        return Strokes.of(self.hand[first], self.hand[last], self.mode)
 
 
 class Pairs:
-    """Training pairs: start and end positions [P, N, 3] (m), strokes [P, 7], whose object each is, and what picks hold."""
+    """Training pairs: start and end positions [P, N, 3] (m), strokes [P], whose object each is, and what picks hold."""
 
     def __init__(
         self,
         start: np.ndarray,
         end: np.ndarray,
-        strokes: np.ndarray,
+        strokes: Strokes,
         rest: np.ndarray,
         owner: np.ndarray,
         grasp: np.ndarray,
@@ -80,9 +81,10 @@ class Pairs:
 
         `mirror` reflects half of the pairs in y, `turn` turns each about the vertical, anew in every step.
         """
-        self.start, self.end, self.strokes, at_rest = (
-            torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, strokes, rest)
+        self.start, self.end, at_rest = (
+            torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, rest)
         )
+        self.strokes = strokes.to(torch.float32).to(device)
         self.rest = Rest.of(at_rest, neighbors)
         self.owner, self.grasp = (torch.as_tensor(np.asarray(a, np.int64), device=device) for a in (owner, grasp))
         self.shape_weight, self.mirror, self.turn = shape_weight, mirror, turn
@@ -94,15 +96,15 @@ class Pairs:
         stroke = data.pair_stroke
         begin, finish = data.strokes[stroke].T
         held = np.stack([first > begin, last < finish], 1)
-        strokes = make_strokes(data.hand[first], data.hand[last], data.mode[stroke], held)
+        strokes = Strokes.of(data.hand[first], data.hand[last], data.mode[stroke], held)
         start, end = data.positions[first], data.positions[last]
         owner, grasp = data.owner[stroke], data.grasped()[stroke]
-        return cls(start, end, strokes.numpy(), data.rest, owner, grasp, neighbors, device, **settings)
+        return cls(start, end, strokes, data.rest, owner, grasp, neighbors, device, **settings)
 
     @property
     def picks(self) -> bool:
         """Whether any stroke is a pick."""
-        return bool(self.strokes[:, 4].any())
+        return bool((self.strokes.mode == PICK).any())
 
     def loss(self, network: nn.Module, chosen: torch.Tensor, rng: np.random.Generator | None = None) -> torch.Tensor:
         """`dynamics_loss` (dm^2) of the network on the chosen pairs [B], varied at random where `rng` is given."""
@@ -111,8 +113,7 @@ class Pairs:
         if rng is not None and (self.mirror or self.turn):
             planar = planar_motions(rng, len(chosen), self.mirror, self.turn).to(start)
             start, end = move_in_plane(start, planar), move_in_plane(end, planar)
-            points = strokes[:, :4].reshape(-1, 2, 2) @ planar.transpose(1, 2)
-            strokes = torch.cat([points.reshape(-1, 4), strokes[:, 4:]], -1)
+            strokes = strokes.moved(planar)
             rest = Rest(move_in_plane(rest.positions, planar), rest.neighbors)
         return dynamics_loss(network(start, strokes, rest, self.grasp[chosen]), end, rest.neighbors, self.shape_weight)
 

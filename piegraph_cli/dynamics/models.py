@@ -1,4 +1,4 @@
-"""Models by name: each predicts particles after strokes, `predict(positions [B, N, 3], strokes [B, 7]) -> [B, N, 3]`."""
+"""Models by name: each predicts particles after strokes, `predict(positions [B, N, 3], strokes [B]) -> [B, N, 3]`."""
 
 import math
 from collections.abc import Callable
@@ -9,8 +9,8 @@ import torch
 from torch import nn
 
 from piegraph_cli.dynamics import gbnd, pgnd, sms
-from piegraph_cli.dynamics.action import check_strokes
-from piegraph_cli.dynamics.egnn import EGNN, GNN, ActionNodeEGNN, Rest
+from piegraph_cli.dynamics.ablations import GNN, ActionNodeEGNN
+from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import (
@@ -24,12 +24,12 @@ from piegraph_cli.dynamics.params import (
     SMSParams,
     split_label,
 )
+from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.springs import build_springs
 
-Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Correct = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 CHUNK = 64
@@ -44,6 +44,10 @@ class Trained:
     settings: LearningParams
     pace: float
     """Metres that the hand moved between two frames of the training data."""
+    modes: tuple[int, ...]
+    """Of the strokes it was trained on: 0 push, 1 pick."""
+    particles: int
+    """Of the objects it was trained on."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def _in_torch(trained: Trained, rest: torch.Tensor) -> Predict:
     at_rest = Rest.of(rest[None], network.neighbors)  # type: ignore[arg-type]
 
     @torch.inference_mode()
-    def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+    def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
         chunks = zip(positions.split(CHUNK), strokes.split(CHUNK), strict=True)
         return torch.cat([network(x, stroke, at_rest.expand(len(x))) for x, stroke in chunks])
 
@@ -100,19 +104,18 @@ def _frame_by_frame(history: int) -> Callable[[Trained, torch.Tensor], Predict]:
     """The object rests before a stroke; the hand goes at the pace of the training data, and waits where it ends."""
 
     def make(trained: Trained, rest: torch.Tensor) -> Predict:
-        def roll(x: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
-            along = strokes[:, 2:4] - strokes[:, :2]
-            length = along.norm(dim=1, keepdim=True)
-            past, hand = x[:, None].expand(-1, history + 1, -1, -1), strokes[:, :2]
+        def roll(x: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+            start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
+            past, hand = x[:, None].expand(-1, history + 1, -1, -1), start
             for k in range(1, math.ceil(float(length.max()) / trained.pace) + 1):
-                after = strokes[:, :2] + along / length * torch.minimum(length, length.new_tensor(k * trained.pace))
+                after = start + along / length * torch.minimum(length, length.new_tensor(k * trained.pace))
                 moves = (length > (k - 1) * trained.pace)[..., None]
                 x = torch.where(moves, trained.network.step(past, hand, after), x)  # type: ignore[operator]
                 past, hand = torch.cat([past[:, 1:], x[:, None]], 1), after
             return x
 
         @torch.inference_mode()
-        def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+        def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
             chunks = zip(positions.split(CHUNK), strokes.split(CHUNK), strict=True)
             return torch.cat([roll(x, stroke) for x, stroke in chunks])
 
@@ -121,13 +124,11 @@ def _frame_by_frame(history: int) -> Callable[[Trained, torch.Tensor], Predict]:
     return make
 
 
-def _springs_alone(trained: Trained, rest: torch.Tensor) -> Predict:
-    network = trained.network
-    assert isinstance(network, sms.SMS)
+def _springs_alone(network: sms.SMS, rest: torch.Tensor) -> Predict:
     graph = build_springs(rest.cpu().numpy(), network.params.radius)
 
     @torch.inference_mode()
-    def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+    def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
         return network.move(spring_kernel.push, positions, strokes, graph)
 
     return predict
@@ -168,7 +169,7 @@ def _windows(history: int) -> Callable[[Sequences, Any, str], Windows]:
 _SPRINGS = Learner(
     lambda params, picks: sms.SMS(params),
     lambda data, params, device: sms.WholeStrokes(data, params.radius),
-    _springs_alone,
+    lambda trained, rest: _springs_alone(trained.network, rest),  # type: ignore[arg-type]
 )
 _ACTION_NODES = Learner(
     lambda params, picks: ActionNodeEGNN(params.neighbors, params.hidden, params.layers, picks, params.pool),
@@ -203,17 +204,16 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     if name == "static":
         return lambda positions, strokes: positions
     if name == "sms-no":
-        settings = SMSParams(tension_only=params.tension_only)
-        trained, learner = Trained(sms.SMS(settings), settings, math.nan), _SPRINGS
+        move = _springs_alone(sms.SMS(SMSParams(tension_only=params.tension_only)), rest)
     else:
-        owner = TRAINED_AS.get(name, name)
-        learner = MODELS[str(owner)].learner  # type: ignore[assignment]
-    assert trained is not None
-    move = learner.predict(trained, rest)
+        learner = MODELS[str(TRAINED_AS.get(name, name))].learner
+        assert learner is not None
+        assert trained is not None
+        move = learner.predict(trained, rest)
     correct = model.correction(rest, params) if model.correction else None
 
-    def predict(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
-        check_strokes(strokes)
+    def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+        strokes.check()
         setpoint = move(positions, strokes)
         return correct(positions, setpoint) if correct else setpoint
 

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from piegraph_cli.dynamics.action import FEATURES, NEAR, PICK_FEATURES, grasped_particle
 from piegraph_cli.dynamics.egnn import DECIMETRE, EGNN, Rest
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.kernels.lanes import KERNEL, Launch, accessors, bandwidth_order, start_warp, vector
 
 LANES = 64
@@ -357,7 +358,7 @@ def _kernel(lanes: int, picks: bool, mirror: bool) -> wp.Kernel:
 
 
 class NetworkKernel:
-    """A trained network on one object: positions [B, N, 3] (m) and strokes [B, 7] in, positions after them out.
+    """A trained network on one object: positions [B, N, 3] (m) and strokes [B] in, positions after them out.
 
     The weights are read once, here. `rest` is the object's, with a batch of one.
     """
@@ -381,7 +382,7 @@ class NetworkKernel:
         ]
 
     @torch.no_grad()
-    def __call__(self, positions: Tensor, strokes: Tensor) -> Tensor:
+    def __call__(self, positions: Tensor, strokes: Strokes) -> Tensor:
         """`network(positions, strokes, rest)` in float32, without gradients."""
         launch = Launch(len(positions), positions.device, LANES)
         particles, count = self.graph[1].shape
@@ -394,7 +395,7 @@ class NetworkKernel:
         out = torch.empty_like(positions)
         arguments: list[Any] = [
             positions.contiguous(),
-            strokes[:, None].contiguous(),
+            strokes.packed()[:, None],
             grasps[:, None].contiguous(),
             out,
         ]

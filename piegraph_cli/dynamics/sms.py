@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from piegraph_cli.dynamics.egnn import DECIMETRE
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.params import SMSParams
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK
 from piegraph_cli.physics import simulation
 from piegraph_cli.physics.simulation import PushParams
@@ -20,22 +21,21 @@ STABLE = 0.8
 """Largest share of the stability bound that a stiffness may take."""
 
 
-def stroke_path(strokes: Tensor, stride: float, settle: int) -> Tensor:
-    """The hand's path [B, T, 2] (m) under strokes [B, 7], `stride` (m) per iteration.
+def stroke_path(strokes: Strokes, stride: float, settle: int) -> Tensor:
+    """The hand's path [B, T, 2] (m) under strokes [B], `stride` (m) per iteration.
 
     At its end it waits for `settle` iterations, and for the longest stroke of the batch.
     """
-    along = strokes[:, 2:4] - strokes[:, :2]
-    length = along.norm(dim=1, keepdim=True)
+    start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
     count = math.ceil(float(length.max()) / stride)
-    travelled = torch.arange(count + settle + 1, dtype=strokes.dtype, device=strokes.device) * stride
-    return strokes[:, None, :2] + (along / length)[:, None] * torch.minimum(travelled[None], length)[..., None]
+    travelled = torch.arange(count + settle + 1, dtype=start.dtype, device=start.device) * stride
+    return start[:, None] + (along / length)[:, None] * torch.minimum(travelled[None], length)[..., None]
 
 
-def held_particles(positions: Tensor, strokes: Tensor) -> Tensor:
+def held_particles(positions: Tensor, strokes: Strokes) -> Tensor:
     """Which particles [B, N] of positions [B, N, 3] (m) picks hold: those near their start, the nearest at least."""
-    apart = (positions[..., :2] - strokes[:, None, :2]).norm(dim=-1)
-    return (apart <= apart.amin(1, keepdim=True).clamp_min(GRIP)) & (strokes[:, 4:5] == PICK)
+    apart = (positions[..., :2] - strokes.planar.start[:, None]).norm(dim=-1)
+    return (apart <= apart.amin(1, keepdim=True).clamp_min(GRIP)) & (strokes.mode == PICK)[:, None]
 
 
 class SMS(nn.Module):
@@ -63,10 +63,10 @@ class SMS(nn.Module):
         friction, gravity = self.friction.exp(), self.gravity.exp()
         return PushParams(stiffness, damping, friction, gravity, reach, self.params.tension_only)
 
-    def move(self, push, positions: Tensor, strokes: Tensor, graph: SpringGraph) -> Tensor:
-        """Positions [B, N, 3] (m) after strokes [B, 7], by `push` of `physics.simulation` or its kernel."""
+    def move(self, push, positions: Tensor, strokes: Strokes, graph: SpringGraph) -> Tensor:
+        """Positions [B, N, 3] (m) after strokes [B], by `push` of `physics.simulation` or its kernel."""
         path = stroke_path(strokes, self.params.stride, self.params.settle)
-        held = held_particles(positions, strokes) if bool((strokes[:, 4] == PICK).any()) else None
+        held = held_particles(positions, strokes) if bool((strokes.mode == PICK).any()) else None
         return push(positions, path, graph, self.numbers(graph), held)
 
 

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import MODE_NAMES, PICK, PUSH
+from piegraph_cli.params import PUSH, mode_word
 
 FRAME_RATE = 5.0
 PUSHER_RADIUS = 0.01
@@ -86,7 +86,7 @@ class Environment(gymnasium.Env):
         if not np.isfinite(motion.shapes).all() or np.abs(frames).max() > _GONE:
             self.set_state(before)
             raise DataError(
-                f"the simulation diverged in a {MODE_NAMES[mode]} from {start.round(3)} to {end.round(3)}",
+                f"the simulation diverged in a {mode_word(mode)} from {start.round(3)} to {end.round(3)}",
                 type(self).__name__,
                 "another seed, or softer options of the environment",
             )
@@ -188,9 +188,10 @@ class Environment(gymnasium.Env):
         start, end = (np.array(action[key], np.float64) for key in ("start", "end"))
         mode = int(action["mode"])
         if mode not in self.modes:
-            known = " or ".join(MODE_NAMES[m] for m in self.modes)
-            wrong = MODE_NAMES[mode] if mode in (PUSH, PICK) else f"mode {mode}"
-            raise UsageError(f"{type(self).__name__} knows no {wrong}", hint=f"{known} strokes in this environment")
+            known = " or ".join(mode_word(m) for m in self.modes)
+            raise UsageError(
+                f"{type(self).__name__} knows no {mode_word(mode)}", hint=f"{known} strokes in this environment"
+            )
         if start.shape != (2,) or end.shape != (2,) or not np.isfinite([start, end]).all():
             raise UsageError(f"a stroke needs two finite planar points, got start {start}, end {end}")
         if np.linalg.norm(end - start) < 1e-3:

@@ -5,12 +5,13 @@ from typing import Literal
 
 import numpy as np
 
-from piegraph_cli.environments.base import PICK, PUSH, REACH, Motion
+from piegraph_cli.environments.base import REACH, Motion
 from piegraph_cli.environments.cloth_mesh import ClothMesh, square_outline, triangulate, tshirt_outline
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene, smooth_path
 from piegraph_cli.environments.params import ClothOptions
 from piegraph_cli.environments.shapes import place
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import PICK, PUSH
 
 _OUTLINES = {"square": (square_outline, 18), "tshirt": (tshirt_outline, 20.7)}
 """Curves of each outline, and triangle edges along `size`."""

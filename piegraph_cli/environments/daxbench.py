@@ -10,10 +10,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from piegraph_cli.environments import daxbench_child
-from piegraph_cli.environments.base import PICK, PUSH, Environment, Motion, check_state, stroke_frames
+from piegraph_cli.environments.base import Environment, Motion, check_state, stroke_frames
 from piegraph_cli.environments.daxbench_process import HELP, Process, finite, whole
 from piegraph_cli.environments.params import DaXBenchOptions
 from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.physics.springs import farthest_point_sample
 
 CHILD = Path(daxbench_child.__file__)

@@ -7,10 +7,11 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 
 from piegraph_cli.environments import noise
-from piegraph_cli.environments.base import FRAME_RATE, MODE_NAMES, PICK, TIP_HEIGHT, Environment
+from piegraph_cli.environments.base import FRAME_RATE, TIP_HEIGHT, Environment
 from piegraph_cli.environments.hand import Hand
 from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, hand_colors
 from piegraph_cli.environments.render import HAND, OBJECT, Part, Renderer, Solid
+from piegraph_cli.params import PICK, mode_number
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.images import encode_masks
 
@@ -83,7 +84,7 @@ def _play(env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = ()
     rng = np.random.default_rng([seed, 3])  # apart from the stream that `reset` draws the pose from
     env.reset(seed=seed)
     for _ in range(strokes):
-        mode = MODE_NAMES.index(modes[rng.integers(len(modes))]) if modes else env.modes[0]
+        mode = mode_number(modes[rng.integers(len(modes))]) if modes else env.modes[0]
         yield env.step(env.sample_stroke(rng, mode))[4] | {"mode": mode}
 
 

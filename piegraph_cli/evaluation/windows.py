@@ -1,5 +1,7 @@
 """Predictions over windows of held-out strokes, measured."""
 
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -10,7 +12,7 @@ from piegraph_cli.physics.springs import build_springs
 
 
 def window_metrics(
-    sequence: dict[str, np.ndarray], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
+    sequence: dict[str, Any], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
 ):
     """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
 
@@ -18,7 +20,8 @@ def window_metrics(
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest, strokes = (torch.as_tensor(sequence[name], dtype=torch.float32) for name in ("rest", "strokes"))
+    rest = torch.as_tensor(sequence["rest"], dtype=torch.float32)
+    strokes = sequence["strokes"].to(torch.float32)
     predict = make_predict(params.label, trained, rest, params)
     positions = torch.as_tensor(sequence["before"])
     for horizon in range(1, min(max(params.horizons), count) + 1):

@@ -1,1 +1,1 @@
-"""Planning strokes to a goal: costs, proposals by contact, the cross-entropy method, the MPC loop."""
+"""Planning strokes to a goal: costs, proposals by contact, the cross-entropy method, the MPC loop, episodes."""

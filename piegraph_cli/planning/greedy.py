@@ -2,7 +2,7 @@
 
 import torch
 
-from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK
 from piegraph_cli.planning.costs import Cost
 from piegraph_cli.planning.search import Candidates, Plan
@@ -14,9 +14,9 @@ def put_worst_right(positions: torch.Tensor, goal: torch.Tensor, cost: Cost) -> 
     The floor for planning with picks. What it predicts is that nothing else moves.
     """
     worst = (positions - goal)[:, :2].norm(dim=-1).argmax()
-    strokes = make_strokes(positions[None, worst, :2], goal[None, worst, :2], torch.tensor([PICK]))
+    strokes = Strokes.of(positions[None, worst, :2], goal[None, worst, :2], PICK)
     predicted = positions.clone()
     predicted[worst, :2] = goal[worst, :2]
     costs = cost(predicted[None])
-    candidates = Candidates(strokes[None, None], costs[None], torch.ones(1, 1))
+    candidates = Candidates(Strokes.stack([Strokes.stack([strokes])]), costs[None], torch.ones(1, 1))
     return Plan(strokes, predicted[None], float(costs[0]), candidates)

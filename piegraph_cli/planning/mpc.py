@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.planning.costs import Cost
 from piegraph_cli.planning.search import Plan
 
-Act = Callable[[torch.Tensor], tuple[np.ndarray, bool]]
+Act = Callable[[Strokes], tuple[np.ndarray, bool]]
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ def run_episode(
 ) -> Iterator[Step]:
     """Steps until the distance to the goal is below `success` (m), `strokes` are spent or no stroke is feasible any more.
 
-    `make_plan(state [N, 3])` plans; `act(stroke [7])` carries a stroke out and returns the new state and whether it was
+    `make_plan(state [N, 3])` plans; `act(stroke)` carries one out and returns the new state and whether it was
     blocked. Source: paper, III-E.
     """
     positions = torch.as_tensor(np.asarray(state, np.float32))

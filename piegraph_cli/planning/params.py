@@ -53,7 +53,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
     max_length: float = Field(0.14, gt=0, description="longest push [m]")
     max_carry: float = Field(0.3, gt=0, description="furthest that a pick carries along x and along y [m]")
-    pusher_radius: float = Field(0.01, gt=0, description="radius of the robot's pusher [m]")
+    pusher_radius: float = Field(
+        0.01, gt=0, description="radius of the robot's pusher [m]; in --env the default means that of its pusher"
+    )
     margin: float = Field(0.002, ge=0, description="how far the object reaches beyond its particles [m]")
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"

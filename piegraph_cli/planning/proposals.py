@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
-from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK, PUSH
 
 CLEARANCE = 0.008
@@ -115,8 +115,8 @@ class StrokeSpace:
             drawn[here, 1:] = torch.minimum(torch.maximum(fresh, low), high)
         return drawn
 
-    def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Strokes [B, 7] (m) on positions [B, N, 3] (m), and whether each is feasible [B].
+    def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[Strokes, torch.Tensor]:
+        """Strokes [B] on positions [B, N, 3] (m), and whether each is feasible [B].
 
         Infeasible: a push that passes by or grazes, see `DEPTH`, or an end outside the workspace.
         """
@@ -131,7 +131,8 @@ class StrokeSpace:
             if here.any():
                 chosen = positions if here.all() else positions[here]
                 start[here], end[here], feasible[here] = make(chosen, proposals[here, 1:])
-        return make_strokes(start, end, mode), feasible & self._inside(start) & self._inside(end)
+        strokes = Strokes(start, end, mode.long(), torch.zeros(len(mode), 2, dtype=torch.bool))
+        return strokes, feasible & self._inside(start) & self._inside(end)
 
     def _pushes(
         self, positions: torch.Tensor, numbers: torch.Tensor

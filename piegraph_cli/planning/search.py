@@ -1,15 +1,14 @@
 """Searching the best strokes among proposals: the cross-entropy method and MPPI."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 
+from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.planning.costs import Cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import StrokeSpace
 
-Predict = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 INFEASIBLE = 10.0
 """Metres added to the cost of a stroke that misses or leaves the workspace: more than any real distance."""
 
@@ -18,8 +17,8 @@ INFEASIBLE = 10.0
 class Candidates:
     """What a search looked at, in I iterations of B candidates; NaN and weight 0 in those that convergence spared."""
 
-    strokes: torch.Tensor
-    """[I, B, H, 7] (m)."""
+    strokes: Strokes
+    """[I, B, H]."""
     costs: torch.Tensor
     """[I, B] metres, `INFEASIBLE` added per stroke that cannot be carried out."""
     weights: torch.Tensor
@@ -28,9 +27,9 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Plan:
-    """The best candidate: strokes [H, 7], predicted states [H, N, 3] (m), their mean cost (m); and all that were looked at."""
+    """The best candidate: strokes [H], predicted states [H, N, 3] (m), their mean cost (m); and all that were looked at."""
 
-    strokes: torch.Tensor
+    strokes: Strokes
     predicted: torch.Tensor
     cost: float
     candidates: Candidates
@@ -52,7 +51,7 @@ def plan_strokes(
     Source: paper, III-E (CEM); MPPI as in the paper's baseline PGND.
     """
     proposals = space.sample((params.samples, params.horizon), generator)
-    best: tuple[float, torch.Tensor, torch.Tensor] | None = None
+    best: tuple[float, Strokes, torch.Tensor] | None = None
     kept, seen = proposals[:0], []
     for _ in range(params.cem_iterations):
         strokes, predicted, costs = rollout(state, proposals, predict, cost, space)
@@ -69,10 +68,18 @@ def plan_strokes(
         proposals = torch.cat([kept, space.refit(proposals, weights, noise, params.samples - 1, generator)])
     if best is None or best[0] >= INFEASIBLE:
         return None
-    never = params.cem_iterations - len(seen)
-    seen += [(torch.full_like(strokes, torch.nan), torch.full_like(costs, torch.nan), torch.zeros_like(costs))] * never
-    candidates = Candidates(*(torch.stack(column) for column in zip(*seen, strict=True)))
-    return Plan(best[1], best[2], best[0], candidates)
+    return Plan(best[1], best[2], best[0], _candidates(seen, params.cem_iterations))
+
+
+def _candidates(seen: list[tuple[Strokes, torch.Tensor, torch.Tensor]], iterations: int) -> Candidates:
+    """Of strokes [B, H], costs and weights [B] of each iteration that there was."""
+    strokes, costs, _ = seen[0]
+    nowhere = torch.full_like(strokes.start, torch.nan)
+    spared = Strokes(nowhere, nowhere, torch.zeros_like(strokes.mode), torch.zeros_like(strokes.held))
+    never = iterations - len(seen)
+    seen = seen + [(spared, torch.full_like(costs, torch.nan), torch.zeros_like(costs))] * never
+    looked, found, weights = zip(*seen, strict=True)
+    return Candidates(Strokes.stack(looked), torch.stack(found), torch.stack(weights))
 
 
 def _weights(costs: torch.Tensor, params: PlanParams) -> torch.Tensor:
@@ -87,8 +94,8 @@ def _weights(costs: torch.Tensor, params: PlanParams) -> torch.Tensor:
 
 def rollout(
     state: torch.Tensor, proposals: torch.Tensor, predict: Predict, cost: Cost, space: StrokeSpace
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Strokes [B, H, 7], predicted states [B, H, N, 3] and costs [B] of proposals [B, H, 5] from state [N, 3].
+) -> tuple[Strokes, torch.Tensor, torch.Tensor]:
+    """Strokes [B, H], predicted states [B, H, N, 3] and costs [B] of proposals [B, H, 5] from state [N, 3].
 
     The cost is the mean over the states, not that of the last alone: a first stroke that wanders would cost nothing.
     """
@@ -101,4 +108,4 @@ def rollout(
         total = total + cost(positions) / proposals.shape[1] + INFEASIBLE * (~feasible)
         strokes.append(stroke)
         predicted.append(positions)
-    return torch.stack(strokes, 1), torch.stack(predicted, 1), total
+    return Strokes.stack(strokes, 1), torch.stack(predicted, 1), total

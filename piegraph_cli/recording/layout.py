@@ -18,6 +18,7 @@ from piegraph_cli.recording.camera import Camera
 
 LAYOUT_VERSION = 1
 COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
+PACKAGE = Path(__file__).resolve().parents[1]
 
 
 class CameraEntry(BaseModel):
@@ -44,6 +45,12 @@ class CamerasFile(BaseModel):
 
 def list_sequences(recording: Path) -> list[Path]:
     """The sequence folders of a recording, sorted by name: folders that hold at least one camera folder."""
+    if not recording.is_dir() and recording.is_relative_to(PACKAGE):
+        raise DataError(
+            "the sample recording is not part of the installed package",
+            str(recording),
+            "get sample_data of the repository, then add --set ingest.recording=sample_data/tblock",
+        )
     if not recording.is_dir():
         raise DataError("no such recording folder", str(recording), "give the folder that holds cameras.json")
     folders = (p for p in recording.iterdir() if p.is_dir() and not p.name.startswith("."))

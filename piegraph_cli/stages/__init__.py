@@ -29,11 +29,11 @@ STAGES: dict[str, Stage] = {module.STAGE.name: module.STAGE for module in _ORDER
 """All stages by name, in the order of the pipeline."""
 
 
-def open_run(folder: Path, recipe: "Recipe | None" = None) -> "Run":
+def open_run(folder: Path | str, recipe: "Recipe | None" = None) -> "Run":
     """The run in a folder, with its own recipe or another; an empty run where there is none yet."""
     from piegraph_cli.workspace.run import Run
 
-    return Run.open(folder, STAGES, recipe)
+    return Run.open(Path(folder), STAGES, recipe)
 
 
 def sequences(run: "Run") -> list[str]:

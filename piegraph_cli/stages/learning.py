@@ -1,12 +1,14 @@
 """What stages read of a dataset and of a trained model."""
 
+from typing import Any
+
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.models import Trained, make_network
 from piegraph_cli.dynamics.params import LEARNED, split_label
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK
 from piegraph_cli.workspace.artifact import Artifact
@@ -50,11 +52,13 @@ def read_model(model: Artifact) -> Trained:
     except RuntimeError as error:
         reason = str(error).splitlines()[-1].strip()
         raise DataError(f"weights do not fit: {reason}", str(model.path), "piegraph train --force") from None
-    return Trained(network.eval().requires_grad_(False), settings, float(model["pace"]))
+    modes = tuple(int(mode) for mode in model["modes"])
+    network = network.eval().requires_grad_(False)
+    return Trained(network, settings, float(model["pace"]), modes, int(model["particles"]))
 
 
-def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
-    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S, 5], `frames` [S, 2]."""
+def read_sequence(data: Artifact, index: int) -> dict[str, Any]:
+    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S], `frames` [S, 2]."""
     chosen = data["stroke_sequence"] == index
     first, last = data["strokes"][chosen].T
     hand = data["end_effector"]
@@ -63,6 +67,6 @@ def read_sequence(data: Artifact, index: int) -> dict[str, np.ndarray]:
         "rest": data["positions"][start],
         "before": data["positions"][first],
         "after": data["positions"][last],
-        "strokes": make_strokes(hand[first], hand[last], data["stroke_mode"][chosen]).numpy(),
+        "strokes": Strokes.of(hand[first], hand[last], data["stroke_mode"][chosen]),
         "frames": np.stack([first, last], 1) - start,
     }

@@ -6,27 +6,26 @@ A unit is one trial of the grid environments x models x goals x starts, by name;
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments import check_options
 from piegraph_cli.errors import DataError
-from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
-from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
-from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key
 from piegraph_cli.workspace.call import Call
-from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
+
+if TYPE_CHECKING:
+    from piegraph_cli.evaluation.trials import Trial
+    from piegraph_cli.workspace.artifact import Artifact
+    from piegraph_cli.workspace.run import Run
 
 _QUESTION = {"env", "state", "goal", "goal_pose", "model", "strokes", "success", "episodes", "seed"}
 """Settings of `plan` that the grid gives."""
 
 
-def _units(run: Run) -> Sequence[Unit]:
+def _units(run: "Run") -> Sequence[Unit]:
     """`tblock.piegraph.goal00.seed03` and so on, models innermost: what is done first can be compared first."""
     params = run.params(STAGE.name)
     return [
@@ -38,7 +37,7 @@ def _units(run: Run) -> Sequence[Unit]:
     ]
 
 
-def _settings(run: Run, unit: str) -> TrialParams:
+def _settings(run: "Run", unit: str) -> TrialParams:
     """The settings of one trial of the grid, whose trained runs lie side by side in one folder.
 
     Planning settings are those of the trained run's recipe, where it has one; where that trains from several seeds, the
@@ -46,7 +45,7 @@ def _settings(run: Run, unit: str) -> TrialParams:
     """
     params: TrialsParams = run.params(STAGE.name)
     env, model, goal, seed = split_name(unit)
-    trained = Run.open((params.trained or run.folder.resolve().parent) / env, run.recipe.table)
+    trained = run.open((params.trained or run.folder.resolve().parent) / env, run.recipe.table)
     kept: PlanParams = trained.params("plan")
     settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}
@@ -95,19 +94,31 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output:
     """Play one trial. Distances along it are kept: `pd` and `cd` [strokes + 1] (m), the first before any stroke."""
-    # torch takes seconds to import, which the summary does not need
-    from piegraph_cli.stages.closed_loop import play, step_arrays
+    import numpy as np
 
-    episode, last = play(_read_model(params), params.plan, start=params.seed, goal=params.goal)
-    states = [*(step.before for step in episode.steps), last]
-    arrays = step_arrays(episode.steps, len(last)) | {
+    from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
+    from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.model import Model
+    from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.stages.learning import read_model
+    from piegraph_cli.stages.steps import open_environment, step_arrays
+
+    set_up_torch()
+    model = _read_model(params)
+    trained = None if model is None else read_model(model)
+    environment = open_environment(params.plan, Model(params.plan.model, trained))
+    episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal)
+    states = episode.states
+    arrays = step_arrays(episode.steps, len(episode.start)) | {
         "goal": episode.goal,
         "start_distance": np.array(episode.start_distance),
         "end_distance": np.array(episode.end_distance),
         "pd": np.array([particle_distance(state, episode.goal) for state in states]) / CENTIMETRE,
         "cd": np.array([chamfer_distance(state, episode.goal) for state in states]) / CENTIMETRE,
     }
-    return Output(arrays, _quality(episode.end_distance, len(episode.steps), params.plan))
+    quality = _quality(episode.end_distance, len(episode.steps), params.plan)
+    return Output(arrays, quality, tool_warnings(params.plan, tool_of(environment)))
 
 
 def _quality(end: float, strokes: int, plan: PlanParams) -> str:
@@ -116,7 +127,9 @@ def _quality(end: float, strokes: int, plan: PlanParams) -> str:
     return f"{end * 100:.1f} cm from the goal after {strokes} strokes, not below {plan.success * 100:g} cm"
 
 
-def _read_model(params: TrialParams) -> Artifact | None:
+def _read_model(params: TrialParams) -> "Artifact | None":
+    from piegraph_cli.workspace.artifact import read_key
+
     if params.network is None:
         return None
     key = read_key(params.network, "model")
@@ -131,13 +144,18 @@ def _read_model(params: TrialParams) -> Artifact | None:
 
 
 @lru_cache(maxsize=8)
-def _read_once(path: Path, key: str | None) -> Artifact:
+def _read_once(path: Path, key: str | None) -> "Artifact":
     """The model artifact, read once per process as long as its key stays."""
+    from piegraph_cli.workspace.artifact import read_artifact
+
     return read_artifact(path, "model")
 
 
-def read_trials(run: Run) -> list[Trial]:
+def read_trials(run: "Run") -> list["Trial"]:
     """The trials of a run's grid that are fresh, with their distances; environments and models in the grid's order."""
+    from piegraph_cli.evaluation.trials import Trial
+    from piegraph_cli.workspace.artifact import read_artifact
+
     params, trials = run.params(STAGE.name), []
     for name in run.units(STAGE):
         if not run.fresh(STAGE, name):
@@ -147,8 +165,10 @@ def read_trials(run: Run) -> list[Trial]:
     return sorted(trials, key=lambda t: (params.envs.index(t.environment), params.models.index(t.model)))
 
 
-def describe(run: Run) -> tuple[dict[str, Any], list[str]]:
+def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     """A run's trials as one object and as lines for people."""
+    from piegraph_cli.evaluation.trials import compare_trials, summarise_trials, trial_lines
+
     params = run.params(STAGE.name)
     trials = read_trials(run)
     results, comparisons = summarise_trials(trials, params.thresholds), compare_trials(trials, params.thresholds)

@@ -34,6 +34,14 @@ class Artifact:
     def __getitem__(self, dataset: str) -> np.ndarray:
         return self.arrays[dataset]
 
+    def field(self, dataset: str) -> Field:
+        """Axes by name, units and type of a dataset. Raises `DataError` where there is no such dataset."""
+        found = field_of(self.name, dataset)
+        if found is None or dataset not in self.arrays:
+            known = ", ".join(sorted(self.arrays))
+            raise DataError(f"has no dataset {dataset}", str(self.path), f"one of {known}")
+        return found
+
     def texts(self, dataset: str) -> list[str]:
         """A text dataset as Python strings."""
         return [value.decode() for value in self.arrays[dataset]]
@@ -102,10 +110,14 @@ def _write_dataset(file: h5py.File, dataset: str, value: np.ndarray, field: Fiel
     handle.attrs["units"], handle.attrs["axes"] = field.units, field.axes
 
 
-def read_artifact(path: Path, name: str, only: Collection[str] | None = None) -> Artifact:
-    """Read and check an artifact, or `only` some datasets. Raises `DataError` naming file and dataset when something is off."""
-    with _open(path, name) as file:
+def read_artifact(path: Path, name: str | None = None, only: Collection[str] | None = None) -> Artifact:
+    """Read and check an artifact, or `only` some datasets; without a name whatever artifact the file holds.
+
+    Raises `DataError` naming file and dataset when something is off.
+    """
+    with _open(path, name or "") as file:
         attributes = _attributes(file, path, name)
+        name = attributes["artifact"]
         arrays: dict[str, np.ndarray] = {}
 
         def take(dataset: str, item: h5py.Dataset | h5py.Group) -> None:
@@ -173,7 +185,7 @@ def _open(path: Path, name: str) -> Iterator[h5py.File]:
         yield file
 
 
-def _attributes(file: h5py.File, path: Path, name: str) -> dict[str, str]:
+def _attributes(file: h5py.File, path: Path, name: str | None) -> dict[str, str]:
     version = file.attrs.get("schema_version")
     if isinstance(version, np.integer) and version > SCHEMA_VERSION:
         raise DataError(
@@ -184,10 +196,9 @@ def _attributes(file: h5py.File, path: Path, name: str) -> dict[str, str]:
     attributes = {k: file.attrs.get(k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
     if version != SCHEMA_VERSION or not all(isinstance(value, str) for value in attributes.values()):
         raise DataError("not an artifact of this version", str(path), "make it again with --force")
-    if attributes["artifact"] != name:
-        raise DataError(
-            f"holds {attributes['artifact']}, expected {name}", str(path), "give the file of the right stage"
-        )
+    if attributes["artifact"] not in ([name] if name else SCHEMAS):
+        expected = f", expected {name}" if name else ""
+        raise DataError(f"holds {attributes['artifact']}{expected}", str(path), "give the file of the right stage")
     return attributes  # type: ignore[return-value]
 
 
@@ -198,7 +209,7 @@ def _remake(path: Path, attributes: Mapping[str, str]) -> str:
 def check_arrays(
     path: Path, name: str, arrays: Mapping[str, np.ndarray], hint: str = "", only: Collection[str] | None = None
 ) -> None:
-    """Check names, types, axes and finiteness of an artifact's arrays (all, or `only` some) against the schema."""
+    """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
     missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays and (only is None or d in only)]
     if missing:
         raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
@@ -215,12 +226,26 @@ def check_arrays(
         if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
             row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
             raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
+        if field.ends:
+            _check_offsets(value, arrays.get(field.ends), field.ends, where, hint)
+    if {"image", "frame", "camera"} <= lengths.keys() and lengths["image"] != lengths["frame"] * lengths["camera"]:
+        message = f"{lengths['image']} images, expected {lengths['frame']} frames of {lengths['camera']} cameras"
+        raise DataError(message, str(path), hint)
 
 
 def _check_axes(value: np.ndarray, axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
     if value.ndim != len(axes):
         raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
     for axis, length in zip(axes, value.shape, strict=True):
-        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis, length)
+        edge = int(axis.endswith("_edge"))
+        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis.removesuffix("_edge"), length - edge) + edge
         if length != expected:
             raise DataError(f"axis {axis} has length {length}, expected {expected}", where, hint)
+
+
+def _check_offsets(offsets: np.ndarray, parts: np.ndarray | None, name: str, where: str, hint: str) -> None:
+    """Check offsets [n + 1] against the dataset they cut; where that was not read, alone."""
+    rises = len(offsets) > 0 and offsets[0] == 0 and (offsets[1:] >= offsets[:-1]).all()
+    if not rises or (parts is not None and parts.shape[:1] != (offsets[-1],)):
+        length = "" if parts is None else f" to its end: {name} is {parts.shape}"
+        raise DataError(f"offsets into {name} do not rise from 0{length}", where, hint)

@@ -22,10 +22,6 @@ from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 log = logging.getLogger("piegraph")
 
 
-class InputError(DataError):
-    """What a unit reads was not made."""
-
-
 class LeftOut(DataError):
     """A unit was not tried, since it failed before."""
 
@@ -151,7 +147,7 @@ def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool =
 def _make(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool) -> Output:
     key = run.key(stage, unit)
     inputs: dict[str, Any] = {
-        name: _OnDemand(run, name, units) if isinstance(units, list) else read_fresh(run, name, units)
+        name: _OnDemand(run, name, units) if isinstance(units, list) else run.read(name, units)
         for name, units in run.inputs(stage, unit).items()
     }
     checkpoint = Checkpoint(run.checkpoint(stage, unit), stage, key)
@@ -182,24 +178,13 @@ class _OnDemand(Mapping[str, Artifact]):
     def __getitem__(self, unit: str) -> Artifact:
         if unit not in self.units:
             raise KeyError(unit)
-        return read_fresh(self.run, self.name, unit)
+        return self.run.read(self.name, unit)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.units)
 
     def __len__(self) -> int:
         return len(self.units)
-
-
-def read_fresh(run: Run, name: str, unit: Unit) -> Artifact:
-    """An artifact of a run. Raises `InputError` with the command that makes it where it is not fresh."""
-    producer = run.maker(name)
-    state = run.state(producer, unit)
-    if state != "fresh":
-        default = f"piegraph run --run {run.folder} --until {producer.name}"
-        hint = producer.command(run, unit) if producer.command else default
-        raise InputError(f"{name} is {state}", str(run.path(name, unit)), hint)
-    return read_artifact(run.path(name, unit), name)
 
 
 def _require_inputs(run: Run, stage: Stage, unit: Unit) -> None:

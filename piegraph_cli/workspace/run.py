@@ -10,10 +10,10 @@ from typing import Any
 
 from filelock import FileLock
 
-from piegraph_cli.errors import DataError, PiegraphError, UsageError
+from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params
-from piegraph_cli.workspace.artifact import read_artifact, read_header, read_key
+from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_header, read_key
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
 
@@ -151,6 +151,16 @@ class Run:
         """Whether the artifact is there and is what would be made."""
         stored = read_key(self.path(stage.writes, unit), stage.writes)
         return stored is not None and stored == self.key(stage, unit)
+
+    def read(self, artifact: str, unit: Unit = None) -> Artifact:
+        """An artifact of this run. Raises `InputError` with the command that makes it where it is not fresh."""
+        producer = self.maker(artifact)
+        state = self.state(producer, unit)
+        if state != "fresh":
+            default = f"piegraph run --run {self.folder} --until {producer.name}"
+            hint = producer.command(self, unit) if producer.command else default
+            raise InputError(f"{artifact} is {state}", str(self.path(artifact, unit)), hint)
+        return read_artifact(self.path(artifact, unit), artifact)
 
     def state(self, stage: Stage, unit: Unit) -> str:
         """`fresh`, `stale`, `missing` or `failed`."""

@@ -7,13 +7,18 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class Field:
-    """One dataset: `axes` by name (equal names have equal length within a file), `units`, numpy `dtype`."""
+    """One dataset: `axes` by name, `units`, numpy `dtype`.
+
+    Equal names have equal length within a file; an axis `NAME_edge` is one longer than `NAME`.
+    """
 
     axes: str
     units: str
     dtype: str
     nan: bool = False
     """NaN marks what was not observed; otherwise every value must be finite."""
+    ends: str = ""
+    """Of offsets: the dataset they cut into parts. They start at 0, never fall, and end at its length."""
 
 
 FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
@@ -47,9 +52,9 @@ _STEPS = {
 SCHEMAS: dict[str, dict[str, Field]] = {
     "frames": {
         "color": Field("color_byte", "encoded image", "uint8"),
-        "color_offsets": Field("image_edge", "byte", "int64"),
+        "color_offsets": Field("image_edge", "byte", "int64", ends="color"),
         "depth": Field("depth_byte", "encoded image", "uint8"),
-        "depth_offsets": Field("image_edge", "byte", "int64"),
+        "depth_offsets": Field("image_edge", "byte", "int64", ends="depth"),
         "time": _TIME,
         "source_frame": Field("frame,camera", "1", "int64"),
         "camera_name": Field("camera", "text", TEXT),
@@ -69,13 +74,13 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     },
     "masks": {
         "mask": Field("mask_byte", "encoded image", "uint8"),
-        "mask_offsets": Field("image_edge", "byte", "int64"),
+        "mask_offsets": Field("image_edge", "byte", "int64", ends="mask"),
         "area": Field("frame,camera", "px", "int64"),
         "time": _TIME,
     },
     "clouds": {
         "points": Field("point,xyz", "m", "float32"),
-        "offsets": Field("frame_edge", "1", "int64"),
+        "offsets": Field("frame_edge", "1", "int64", ends="points"),
         **_HAND_PATH,
     },
     "tracks": {
@@ -140,9 +145,9 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     "truth": {
         "particles": Field("frame,material_point,xyz", "m", "float32"),
         "object_mask": Field("object_mask_byte", "encoded image", "uint8"),
-        "object_mask_offsets": Field("image_edge", "byte", "int64"),
+        "object_mask_offsets": Field("image_edge", "byte", "int64", ends="object_mask"),
         "hand_mask": Field("hand_mask_byte", "encoded image", "uint8"),
-        "hand_mask_offsets": Field("image_edge", "byte", "int64"),
+        "hand_mask_offsets": Field("image_edge", "byte", "int64", ends="hand_mask"),
         "hand_keypoints": Field("frame,landmark,xyz", "m", "float32", nan=True),
         "vertices": Field("frame,vertex,xyz", "m", "float32"),
         "triangles": Field("triangle,3", "vertex", "int64"),

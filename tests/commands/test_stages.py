@@ -175,6 +175,25 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
     assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance"}
 
 
+def test_a_cloud_that_was_cut_off_moves_no_robot(planner, tiny_run, tmp_path):
+    cloud = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (500, 3)).astype("<f4")
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 500\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    whole, cut, track = tmp_path / "now.ply", tmp_path / "cut.ply", tmp_path / "cut.h5"
+    whole.write_bytes(header.encode() + cloud.tobytes())
+    cut.write_bytes(whole.read_bytes()[: len(whole.read_bytes()) * 9 // 10])
+    track.write_bytes((tiny_run / "tracks" / "sequence_0001.h5").read_bytes()[:-500])
+    question = ("plan", "--run", planner, "--samples", 10, "--json")
+    assert piegraph_json(*question[:-1], "--state", whole, "--goal-pose", "0.1,0,0.3")["strokes"]
+    for given in (("--state", cut, "--goal-pose", "0.1,0,0.3"), ("--state", whole, "--goal", cut)):
+        done = piegraph(*question, *given, check=3)
+        assert "cut.ply: is cut off" in done.stderr
+        assert '"start"' not in done.stdout
+    done = piegraph(*question, "--state", track, "--goal-pose", "0.1,0,0.3", check=3)
+    assert "cut.h5: not a readable HDF5 file" in done.stderr
+    assert '"start"' not in done.stdout
+
+
 def test_a_goal_may_be_a_frame_of_a_track(planner, tiny_run):
     goal = tiny_run / "tracks" / "sequence_0001.h5"
     plan = piegraph_json(

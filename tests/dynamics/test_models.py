@@ -1,16 +1,17 @@
 """The table of models: one protocol, symmetries where a model has them, sparse against dense grids, gradients of springs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from piegraph_cli.dynamics import gbnd, pgnd, sms
-from piegraph_cli.dynamics.action import make_strokes
 from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, move_in_plane, planar_motions
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
 from piegraph_cli.dynamics.params import LEARNED, TRAINED_AS, ModelName, PredictionParams, SMSParams, trained_label
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.physics import simulation
 from piegraph_cli.physics.springs import build_springs
@@ -55,7 +56,8 @@ def untrained(name: str, data: Sequences, seed: int = 0) -> Trained:
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.02 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(3)))
-    return Trained(network.eval().requires_grad_(False), settings(name), data.pace)
+    modes = tuple(np.unique(data.mode).tolist())
+    return Trained(network.eval().requires_grad_(False), settings(name), data.pace, modes, data.positions.shape[1])
 
 
 def predictor(name: str, data: Sequences):
@@ -64,11 +66,11 @@ def predictor(name: str, data: Sequences):
     return make_predict(name, untrained(own, data) if own else None, torch.as_tensor(data.rest[0]), params)
 
 
-def scenes(data: Sequences, batch: int = 5) -> tuple[torch.Tensor, torch.Tensor]:
+def scenes(data: Sequences, batch: int = 5) -> tuple[torch.Tensor, Strokes]:
     start = torch.as_tensor(data.rest[:1]).expand(batch, -1, -1).clone()
-    stroke = data.whole()[:1].float().expand(batch, -1).clone()
-    stroke[:, 2:4] = stroke[:, :2] + (stroke[:, 2:4] - stroke[:, :2]) * torch.linspace(0.5, 1.5, batch)[:, None]
-    return start, stroke
+    stroke = data.whole()[[0] * batch]
+    end = stroke.start + stroke.along * torch.linspace(0.5, 1.5, batch)[:, None]
+    return start, replace(stroke, end=end)
 
 
 def test_the_table_is_whole():
@@ -108,8 +110,7 @@ def test_equivariant_models_turn_with_the_scene(name):
         **{**vars(data), "rest": move_in_plane(torch.as_tensor(data.rest), motion.expand(3, -1, -1)).numpy()}
     )
     many = motion.expand(len(start), -1, -1)
-    ends = (strokes[:, :4].reshape(-1, 2, 2) @ motion[0].T).reshape(-1, 4)
-    found = predictor(name, turned)(move_in_plane(start, many), torch.cat([ends, strokes[:, 4:]], -1))
+    found = predictor(name, turned)(move_in_plane(start, many), strokes.moved(motion))
     torch.testing.assert_close(found, move_in_plane(predictor(name, data)(start, strokes), many), atol=2e-5, rtol=0)
 
 
@@ -119,9 +120,7 @@ def test_others_do_not_turn_but_move_with_the_scene(name):
     start, strokes = scenes(data)
     shift = torch.tensor([0.1, -0.06])
     moved = Sequences(**{**vars(data), "rest": data.rest + np.append(shift.numpy(), 0).astype(np.float32)})
-    found = predictor(name, moved)(
-        start + torch.nn.functional.pad(shift, (0, 1)), strokes + torch.nn.functional.pad(shift.repeat(2), (0, 3))
-    )
+    found = predictor(name, moved)(start + torch.nn.functional.pad(shift, (0, 1)), strokes.moved(torch.eye(2), shift))
     expected = predictor(name, data)(start, strokes) + torch.nn.functional.pad(shift, (0, 1))
     torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
 
@@ -259,7 +258,7 @@ def test_gradients_of_springs_agree_with_finite_differences(picks):
     params = SMSParams(stride=2e-3, settle=5, gravity=1e-4, friction=0.3, stiffness=0.05)
     network = sms.SMS(params).double()
     graph = build_springs(data.rest[0], params.radius)
-    start, strokes = torch.as_tensor(data.rest[:1]).double(), data.whole()[:1].double()
+    start, strokes = torch.as_tensor(data.rest[:1]).double(), data.whole()[:1].to(torch.float64)
 
     def loss() -> torch.Tensor:
         return (network.move(simulation.push, start, strokes, graph) - start).square().sum() * 100
@@ -298,6 +297,6 @@ def test_a_pick_carries_what_it_holds():
     held = sms.held_particles(start, strokes)[0]
     assert held.any()
     moved = (after - start)[0, held, :2]
-    torch.testing.assert_close(moved, (strokes[:, 2:4] - strokes[:, :2]).expand_as(moved), atol=1e-5, rtol=0)
-    pushed = make_strokes(strokes[:, :2], strokes[:, 2:4], torch.zeros(1))
+    torch.testing.assert_close(moved, strokes.along.expand_as(moved), atol=1e-5, rtol=0)
+    pushed = replace(strokes, mode=torch.zeros_like(strokes.mode))
     assert not sms.held_particles(start, pushed).any()

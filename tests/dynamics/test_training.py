@@ -8,8 +8,10 @@ from piegraph_cli.dynamics.examples import Pairs
 from piegraph_cli.dynamics.losses import dynamics_loss
 from piegraph_cli.dynamics.models import make_network
 from piegraph_cli.dynamics.params import EGNNParams
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import PUSH
 
 PARAMS = EGNNParams(hidden=8, layers=2, steps=30)
 
@@ -22,7 +24,7 @@ def pairs(count: int = 40, seed: int = 0) -> Pairs:
     angle, length = rng.uniform(-np.pi, np.pi, count), rng.uniform(0.03, 0.14, count)
     motion = np.stack([np.cos(angle), np.sin(angle)], 1) * length[:, None]
     end = start + np.pad(motion, ((0, 0), (0, 1)))[:, None]
-    strokes = np.concatenate([begin, begin + motion, np.zeros((count, 1))], 1)
+    strokes = Strokes.of(begin, begin + motion, PUSH)
     return Pairs(start, end, strokes, start, np.arange(count), np.zeros(count), PARAMS.neighbors)
 
 
@@ -113,9 +115,9 @@ def test_mirrored_training_predicts_mirrored_scenes():
     end = start + np.pad(motion, ((0, 0), (0, 1)))[:, None] * (beside > 0)
     start[..., :2] += left[:, None] * 2.0  # all of it lies to the left
     end[..., :2] += left[:, None] * 2.0
-    strokes = np.concatenate([begin, begin + motion, np.zeros((60, 3))], 1)
+    strokes = Strokes.of(begin, begin + motion, PUSH)
     flip = [1, -1, 1]
-    flipped = strokes * [1, -1, 1, -1, 1, 1, 1]
+    flipped = strokes.moved(torch.tensor([[1.0, 0.0], [0.0, -1.0]], dtype=torch.float64))
     unseen = Pairs(start * flip, end * flip, flipped, start * flip, np.arange(60), np.zeros(60), PARAMS.neighbors)
     losses = {}
     for mirror in (False, True):

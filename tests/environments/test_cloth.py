@@ -13,9 +13,10 @@ from gymnasium.utils.env_checker import check_env
 from scipy.interpolate import LinearNDInterpolator
 
 from piegraph_cli import environments
-from piegraph_cli.environments.base import PICK, PUSH, PUSHER_RADIUS, REACH
+from piegraph_cli.environments.base import PUSHER_RADIUS, REACH
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import PICK, PUSH
 
 FLAT = {"pose": [0.0, 0.0, 0.0]}
 GRAVITY = 9.81

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
 
 pytest.importorskip("gymnasium", reason="the `sim` extra is not installed: pip install 'piegraph[sim]'")
 
@@ -12,10 +13,14 @@ from daxbench_stand_in import PUSH_UP, REPO, make_daxbench
 from gymnasium.utils.env_checker import check_env
 
 from piegraph_cli import environments
-from piegraph_cli.dynamics.strokes import cut_strokes, frame_pairs
+from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs
 from piegraph_cli.environments import daxbench, daxbench_child
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.params import PUSH
+from piegraph_cli.planning.episode import tool_of
+from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.planner import Tool, pusher_radius, stroke_space
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +69,20 @@ def test_objects_have_our_size_and_lie_on_the_table(rope, tshirt):
         assert particles[:, 2].min() == pytest.approx(0.0, abs=1e-6)
         assert particles[:, 2].max() < 0.02
     assert rope.pusher_radius == pytest.approx(0.015 * 1.6, rel=1e-6)
+
+
+def test_pushes_are_planned_for_its_pusher(rope):
+    """Unlike those for a pusher of 10 mm, they start off all of its particles, not just off the 50 that are seen."""
+    state, inside = torch.as_tensor(rope.particles()), []
+    for tool in (Tool((PUSH,)), tool_of(rope)):
+        space = stroke_space(state, PlanParams(), (PUSH,), pusher_radius(PlanParams(), tool))
+        proposals = space.sample((500,), torch.Generator().manual_seed(0))
+        strokes, feasible = space.strokes(state.expand(500, -1, -1), proposals)
+        starts = strokes.start[feasible].numpy()
+        gaps = np.linalg.norm(starts[:, None] - rope._shape[None, :, :2], axis=-1).min(1)
+        inside.append((gaps < rope.pusher_radius).mean())
+    assert inside[0] > 0.95
+    assert inside[1] < 0.05
 
 
 def test_a_push_moves_the_rope_the_way_it_goes(rope):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ pytest.importorskip("gymnasium", reason="the `sim` extra is not installed: pip i
 from daxbench_stand_in import PUSH_UP, REPO, make_daxbench
 
 from piegraph_cli import environments
-from piegraph_cli.environments import daxbench, daxbench_child
+from piegraph_cli.environments import daxbench, daxbench_child, daxbench_process
 from piegraph_cli.errors import DataError, UsageError
+from tests.cli import PATIENCE
 
 
 @pytest.fixture
@@ -26,10 +28,10 @@ def fake_child(monkeypatch):
     """Makes a rope environment whose child has the given fault, once reset."""
     made = []
 
-    def start(fault, timeout=20.0):
+    def start(fault):
         monkeypatch.setattr(daxbench, "CHILD", REPO / "child.py")
         monkeypatch.setenv("FAULT", fault)
-        made.append(make_daxbench("daxbench-rope", timeout))
+        made.append(make_daxbench("daxbench-rope"))
         return made[-1]
 
     yield start
@@ -46,8 +48,8 @@ def alive(pid):
     return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
-def wait_until(condition, seconds=10.0):
-    end = time.monotonic() + seconds
+def wait_until(condition):
+    end = time.monotonic() + PATIENCE
     while not condition() and time.monotonic() < end:
         time.sleep(0.02)
     return condition()
@@ -113,22 +115,24 @@ def test_a_child_that_starts_badly_is_a_clear_error(fake_child, fault, reason):
 
 @pytest.mark.parametrize("fault", ["hang", "drip"])
 def test_a_child_that_does_not_answer_is_stopped_in_time(fake_child, fault):
-    env = fake_child(fault, timeout=0.5)
+    env = fake_child(fault)
     env.reset(seed=0)
+    env._process._timeout = 0.5
     pid, begin = env._process._process.pid, time.monotonic()
     with pytest.raises(DataError, match=r"did not answer within 0\.5 s in 'step'"):
         env.step(PUSH_UP)
-    assert time.monotonic() - begin < 5
+    assert time.monotonic() - begin < PATIENCE / 2
     assert not alive(pid)
 
 
 def test_a_child_that_does_not_read_is_stopped_in_time(fake_child):
-    env = fake_child("deaf", timeout=0.5)
+    env = fake_child("deaf")
     env.reset(seed=0)
     process = env._process
     state = process.ask("get_state", daxbench._read_state)
     packed = {name: daxbench_child.pack(array) for name, array in state.items()}
     assert sum(len(array["data"]) for array in packed.values()) > 2**20  # more than a pipe holds
+    process._timeout = 0.5
     process._stdin.write(b" ")  # no whole chunk fits: a write that waits would wait for ever
     with pytest.raises(DataError, match=r"did not answer within 0\.5 s in 'set_state'"):
         process.ask("set_state", lambda reply: reply, state=packed)
@@ -175,9 +179,16 @@ def test_what_a_crash_writes_cannot_steer_the_terminal(monkeypatch):
 def test_a_hung_child_takes_what_it_started_along(monkeypatch, tmp_path):
     monkeypatch.setenv("FAKE_DAXBENCH", "hang")
     monkeypatch.setenv("FAKE_DAXBENCH_PIDS", str(tmp_path / "pids"))
+    pids = tmp_path / "pids"
+
+    def clock():
+        """It stands until the child hangs, however long that takes."""
+        return 1e9 if pids.exists() and pids.read_text().endswith("\n") else 0.0
+
+    monkeypatch.setattr(daxbench_process, "time", SimpleNamespace(monotonic=clock))
     with pytest.raises(DataError, match="did not answer"):
-        make_daxbench("daxbench-tshirt", timeout=2.0).reset(seed=0)
-    child, other = map(int, (tmp_path / "pids").read_text().split())
+        make_daxbench("daxbench-tshirt", timeout=0.1).reset(seed=0)
+    child, other = map(int, pids.read_text().split())
     assert wait_until(lambda: not alive(child) and not alive(other))
 
 
@@ -197,7 +208,7 @@ def test_no_orphan_is_left_when_piegraph_ends_in_a_step(ending, tmp_path):
     assert wait_until(lambda: pids.exists() and pids.read_text().endswith("\n"))
     child, other = map(int, pids.read_text().split())
     user.send_signal(ending)
-    assert user.wait(10) != 0
+    assert user.wait() != 0
     assert wait_until(lambda: not alive(child))
     if ending == signal.SIGINT:
         assert wait_until(lambda: not alive(other))
@@ -227,7 +238,7 @@ def test_the_child_speaks_the_documented_protocol_and_ends_with_its_input():
     assert {"x", "v", "key", "cur_step", "primitives.0.position"} <= state.keys()
     assert ask(id=4, do="set_state", state=state) == {"id": 4, "particles": state["x"] | {"shape": [160, 3]}}
     child.stdin.close()
-    assert child.wait(10) == 0
+    assert child.wait() == 0
     child.stdout.close()
 
 

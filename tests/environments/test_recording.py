@@ -8,11 +8,12 @@ import pytest
 pytest.importorskip("embreex", reason="the `sim` extra is not installed: pip install 'piegraph[sim]'")
 
 from piegraph_cli import environments
-from piegraph_cli.environments.base import PICK, PUSH, Environment, Motion
+from piegraph_cli.environments.base import Environment, Motion
 from piegraph_cli.environments.hand_motion import arm_at
 from piegraph_cli.environments.recording import plan_moments, record, truth_arrays
 from piegraph_cli.environments.rig import camera_rig
 from piegraph_cli.evaluation.truth import surface_distance
+from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.workspace.artifact import read_artifact, write_artifact
 

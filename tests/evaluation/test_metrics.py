@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from piegraph_cli.dynamics.action import make_strokes
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
 from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.evaluation.statistics import bootstrap_mean
 from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance
-from piegraph_cli.stages.evaluate import _evaluate_sequence
+from piegraph_cli.evaluation.windows import window_metrics
 
 LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
 
@@ -94,12 +94,12 @@ def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
         "rest": rest,
         "before": rest[None],
         "after": rest[None] + rng.normal(0, 0.01, (1, 30, 3)).astype(np.float32),
-        "strokes": make_strokes([[0.0, 0.0]], [[0.1, 0.0]], [0]).numpy().astype(np.float32),
+        "strokes": Strokes.of([[0.0, 0.0]], [[0.1, 0.0]], [0]),
         "frames": np.array([[0, 5]]),
     }
     rows = [
         list(
-            _evaluate_sequence(
+            window_metrics(
                 sequence, None, None, ModelEvaluateParams(label="static", horizons=(1,), spring_radius=radius)
             )
         )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.planning.costs import make_cost
@@ -22,9 +23,9 @@ PICKS = replace(SPACE, modes=(PICK,))
 BOTH = replace(SPACE, modes=(PUSH, PICK))
 
 
-def carried(positions: torch.Tensor, strokes: torch.Tensor) -> torch.Tensor:
+def carried(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
     """Everything moves along with the stroke."""
-    motion = torch.nn.functional.pad(strokes[:, 2:4] - strokes[:, :2], (0, 1))
+    motion = torch.nn.functional.pad(strokes.along, (0, 1))
     return positions + motion[:, None]
 
 
@@ -32,10 +33,10 @@ def test_a_push_starts_just_off_the_object_and_heads_where_it_says():
     proposal = torch.tensor([[PUSH, 0.0, 0.0, 0.1, 0.0], [PUSH, math.pi / 2, 1.0, 0.05, 0.0]])
     strokes, feasible = SPACE.strokes(SQUARE.expand(2, -1, -1), proposal)
     assert feasible.all()
-    assert strokes[0, 0].item() == pytest.approx(-0.05 - SPACE.pusher_radius - SPACE.margin - CLEARANCE, abs=1e-3)
-    torch.testing.assert_close(strokes[0, 2] - strokes[0, 0], torch.tensor(0.1))
-    torch.testing.assert_close(strokes[1, [0, 2]], torch.tensor([-0.05, -0.05]))
-    distances = (SQUARE[:, :2] - strokes[0, :2]).norm(dim=-1)
+    assert strokes.start[0, 0].item() == pytest.approx(-0.05 - SPACE.pusher_radius - SPACE.margin - CLEARANCE, abs=1e-3)
+    torch.testing.assert_close(strokes.along[0, 0], torch.tensor(0.1))
+    torch.testing.assert_close(strokes.ends[1, :, 0], torch.tensor([-0.05, -0.05]))
+    distances = (SQUARE[:, :2] - strokes.start[0]).norm(dim=-1)
     assert distances.min() > SPACE.pusher_radius
 
 
@@ -44,7 +45,7 @@ def test_a_push_starts_off_an_object_that_is_thicker_than_its_particles_show():
     space = replace(SPACE, edges=solid_edges(rope), margin=0.01)
     proposals = space.sample((500,), torch.Generator().manual_seed(0))
     strokes, feasible = space.strokes(rope.expand(500, -1, -1), proposals)
-    gaps = (strokes[feasible][:, None, :2] - rope[None, :, :2]).norm(dim=-1).amin(1)
+    gaps = (strokes[feasible].start[:, None] - rope[None, :, :2]).norm(dim=-1).amin(1)
     assert feasible.sum() > 300
     assert gaps.min() >= space.pusher_radius + 0.008, "oblique pushes start off the rope too"
 
@@ -56,9 +57,8 @@ def test_a_push_that_grazes_is_infeasible_until_it_goes_in():
     proposals = torch.nn.functional.pad(lengths[:, None], (3, 1))
     proposals[:, 1], proposals[:, 2] = -math.radians(3), 0.5
     strokes, feasible = space.strokes(side.expand(5, -1, -1), proposals)
-    ends = torch.stack([strokes[:, :2], strokes[:, 2:4]], 1)
-    into = space.pusher_radius + space.margin - ends[:, 1, 1]
-    assert (ends[:, 0, 1] > 0.012).all(), "from above"
+    into = space.pusher_radius + space.margin - strokes.end[:, 1]
+    assert (strokes.start[:, 1] > 0.012).all(), "from above"
     assert feasible.tolist() == (into > 0.007).tolist() == [False, False, False, True, True]
 
 
@@ -82,7 +82,7 @@ def test_the_pusher_does_not_slip_between_sparse_particles():
     between = torch.tensor([[PUSH, 0.0, share, 0.1, 0.0] for share in (0.1, 0.2, -0.3)])
     strokes, feasible = space.strokes(sparse.expand(3, -1, -1), between)
     assert feasible.all()
-    assert (strokes[:, 0] < -0.15).all()
+    assert (strokes.start[:, 0] < -0.15).all()
 
 
 def test_costs():
@@ -126,20 +126,20 @@ def test_a_search_finds_the_strokes_that_carry_the_object_to_its_goal(space, pla
     assert along[-1] < 0.02
     assert along[0] < 0.8 * cost(SQUARE[None])[0], "the first stroke goes there as well"
     assert plan.cost == pytest.approx(along.mean().item(), abs=1e-6)
-    assert plan.strokes.shape == (horizon, 7)
+    assert plan.strokes.mode.shape == (horizon,)
     assert plan.predicted.shape == (horizon, 36, 3)
-    modes = plan.candidates.strokes[..., 4]
-    assert set(modes[modes.isfinite()].unique().tolist()) == set(map(float, space.modes))
+    looked = plan.candidates
+    assert set(looked.strokes[looked.costs.isfinite()].mode.unique().tolist()) == set(space.modes)
 
 
 def test_the_mode_that_works_is_chosen():
     def pushed_only(positions, strokes):
-        return torch.where((strokes[:, 4] == PUSH)[:, None, None], carried(positions, strokes), positions)
+        return torch.where((strokes.mode == PUSH)[:, None, None], carried(positions, strokes), positions)
 
     cost = make_cost("distance", SQUARE + torch.tensor([0.08, 0.0, 0.0]), 36)
     plan = search(SQUARE, pushed_only, cost, BOTH, samples=60)
-    assert plan.strokes[0, 4] == PUSH
-    modes = plan.candidates.strokes[:, :, 0, 4]
+    assert plan.strokes.mode[0] == PUSH
+    modes = plan.candidates.strokes.mode[:, :, 0]
     assert (modes[0] == PICK).float().mean() > 0.3
     assert (modes[-1] == PICK).float().mean() < 0.1
 
@@ -148,7 +148,7 @@ def test_what_was_looked_at_is_kept():
     cost = make_cost("distance", SQUARE + 0.05, 36)
     plan = search(SQUARE, carried, cost, SPACE, samples=20, cem_iterations=3, elites=0.2, horizon=2)
     seen = plan.candidates
-    assert seen.strokes.shape == (3, 20, 2, 7)
+    assert seen.strokes.mode.shape == (3, 20, 2)
     assert seen.costs.min().item() == pytest.approx(plan.cost)
     assert ((seen.weights > 0).sum(1) == 4).all(), "a fifth of the candidates are elites"
     torch.testing.assert_close(seen.weights.sum(1), torch.ones(3))
@@ -161,11 +161,11 @@ def test_picks_start_at_a_particle_and_carry_far_enough():
     proposals = PICKS.sample((300,), generator)
     proposals[0, 3:] = 0.0
     strokes, _ = PICKS.strokes(SQUARE.expand(300, -1, -1), proposals)
-    apart = (strokes[:, None, :2] - SQUARE[None, :, :2]).norm(dim=-1).amin(1)
+    apart = (strokes.start[:, None] - SQUARE[None, :, :2]).norm(dim=-1).amin(1)
     assert apart.max() < 1e-6
-    assert (strokes[:, 2:4] - strokes[:, :2]).norm(dim=-1).min() >= PICKS.min_length - 1e-6
-    assert (strokes[:, 4] == PICK).all()
-    grasped = (strokes[:, None, :2] - SQUARE[None, :, :2]).norm(dim=-1).argmin(1)
+    assert strokes.length.min() >= PICKS.min_length - 1e-6
+    assert (strokes.mode == PICK).all()
+    grasped = (strokes.start[:, None] - SQUARE[None, :, :2]).norm(dim=-1).argmin(1)
     assert len(grasped.unique()) > 25, "all of the object can be grasped"
 
 
@@ -173,8 +173,8 @@ def test_the_greedy_planner_carries_the_worst_particle_to_its_place():
     goal = SQUARE.clone()
     goal[7, :2] += torch.tensor([0.2, 0.1])
     plan = put_worst_right(SQUARE, goal, make_cost("distance", goal, 36))
-    torch.testing.assert_close(plan.strokes[0, :4], torch.cat([SQUARE[7, :2], goal[7, :2]]))
-    assert plan.strokes[0, 4] == PICK
+    torch.testing.assert_close(plan.strokes[0].ends, torch.stack([SQUARE[7, :2], goal[7, :2]]))
+    assert plan.strokes.mode[0] == PICK
 
 
 def test_cem_ends_when_its_elites_are_as_good_as_the_best():
@@ -190,11 +190,18 @@ def test_cem_ends_when_its_elites_are_as_good_as_the_best():
     elites = early.candidates.weights > 0
     assert float(early.candidates.costs[elites][-10:].max()) - early.cost < 1e-3
     assert search(SQUARE + 5.0, carried, cost, SPACE, samples=20, converged=1e9) is None
+    picks = search(SQUARE, carried, cost, PICKS, samples=100, cem_iterations=30, converged=1e-3).candidates
+    spared = picks.costs.isnan()
+    assert spared.any()
+    assert not picks.strokes[spared].mode.any()
+    assert picks.strokes[spared].ends.isnan().all()
 
 
 def test_a_plan_follows_from_its_seed():
     cost = make_cost("distance", SQUARE + 0.05, 36)
-    first, again, other = (search(SQUARE, carried, cost, SPACE, seed, samples=20).strokes for seed in (1, 1, 2))
+    first, again, other = (
+        search(SQUARE, carried, cost, SPACE, seed, samples=20).strokes.packed() for seed in (1, 1, 2)
+    )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 
@@ -206,7 +213,7 @@ def test_a_stroke_that_cannot_be_carried_out_is_never_chosen():
     edge = SQUARE + torch.tensor([0.3, 0.0, 0.0])
     plan = search(edge, carried, make_cost("distance", goal, 36), BOTH, samples=100)
     assert plan.cost < INFEASIBLE
-    assert plan.strokes[0, :4].abs().max() <= 0.45
+    assert plan.strokes[0].ends.abs().max() <= 0.45
 
 
 def test_the_loop_stops_at_success_at_its_limit_before_the_first_stroke_and_without_a_plan():
@@ -214,9 +221,9 @@ def test_the_loop_stops_at_success_at_its_limit_before_the_first_stroke_and_with
     cost = make_cost("distance", goal, 36)
     world = SQUARE.clone()
 
-    def act(stroke: torch.Tensor) -> tuple[np.ndarray, bool]:
+    def act(stroke: Strokes) -> tuple[np.ndarray, bool]:
         nonlocal world
-        world = carried(world[None], stroke[None])[0]
+        world = carried(world[None], Strokes.stack([stroke]))[0]
         return world.numpy(), False
 
     def make_plan(state: torch.Tensor):

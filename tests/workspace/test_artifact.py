@@ -124,3 +124,82 @@ def test_objects_are_refused(stored):
         file.create_dataset("contact", data=["text", "of", "any length"], dtype=h5py.string_dtype())
     with pytest.raises(DataError, match="type that is not allowed"):
         read_artifact(stored, "tracks")
+
+
+def clouds(frames: int = 3, points: int = 10) -> dict[str, np.ndarray]:
+    return {
+        "points": np.zeros((points, 3), np.float32),
+        "offsets": np.linspace(0, points, frames + 1).astype(np.int64),
+        "end_effector": np.zeros((frames, 3), np.float32),
+        "contact": np.zeros(frames, bool),
+        "time": np.arange(frames, dtype=float),
+    }
+
+
+def frames(count: int = 2, cameras: int = 3) -> dict[str, np.ndarray]:
+    images = count * cameras
+    return {
+        "color": np.zeros(4 * images, np.uint8),
+        "color_offsets": np.arange(images + 1) * 4,
+        "depth": np.zeros(2 * images, np.uint8),
+        "depth_offsets": np.arange(images + 1) * 2,
+        "time": np.arange(count, dtype=float),
+        "source_frame": np.zeros((count, cameras), np.int64),
+        "camera_name": np.array([b"a", b"b", b"c"], "S128")[:cameras],
+        "image_size": np.ones((cameras, 2), np.int64),
+        "K": np.zeros((cameras, 3, 3)),
+        "distortion": np.zeros((cameras, 5)),
+        "depth_scale": np.ones(cameras),
+        "T_world_camera": np.zeros((cameras, 4, 4)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "arrays", "changes", "message"),
+    [
+        ("clouds", clouds(), {"offsets": [0, 3, 6, 9]}, "dataset offsets: offsets into points do not rise from 0 to"),
+        ("clouds", clouds(), {"offsets": [1, 3, 6, 10]}, "offsets into points"),
+        ("clouds", clouds(), {"offsets": [0, 6, 3, 10]}, "offsets into points"),
+        ("clouds", clouds(), {"offsets": [0, -6, 3, 10]}, "offsets into points"),
+        ("clouds", clouds(), {"offsets": [0, 1 << 62, 3, 10]}, "offsets into points"),
+        ("clouds", clouds(), {"offsets": [0, 3, 10]}, "axis frame"),
+        ("clouds", clouds(), {"offsets": []}, "offsets: offsets into points|axis frame"),
+        ("clouds", clouds(), {"points": np.float32(1)}, "offsets into points|shape"),
+        ("clouds", clouds(), {"time": np.arange(4.0)}, "axis time|axis frame"),
+        ("frames", frames(), {"color": np.zeros(23, np.uint8)}, "offsets into color do not rise"),
+        ("frames", frames(), {"depth_offsets": [0, 2, 4, 6, 8, 6, 12]}, "offsets into depth do not rise"),
+        ("frames", frames(), {"depth_offsets": [0, 2, 4, 6, 8, 12]}, "axis image_edge has length 6, expected 7"),
+        (
+            "frames",
+            frames(),
+            {"color_offsets": [0, 8, 16, 24], "depth_offsets": [0, 4, 8, 12]},
+            "3 images, expected 2 frames of 3 cameras",
+        ),
+    ],
+)
+def test_offsets_that_contradict_what_they_cut_are_refused_by_writer_and_reader(
+    tmp_path, name, arrays, changes, message
+):
+    path = tmp_path / "a.h5"
+    rest = {"stage": "s", "stage_version": 1, "key": "k", "params": {}, "inputs": {}}
+    changed = arrays | {k: np.asarray(v, arrays[k].dtype) for k, v in changes.items()}
+    with pytest.raises(DataError, match=message):
+        write_artifact(path, name, changed, **rest)
+    write_artifact(path, name, arrays, **rest)
+    read_artifact(path, name)
+    with h5py.File(path, "a") as file:
+        for dataset in changes:
+            del file[dataset]
+            file[dataset] = changed[dataset]
+    with pytest.raises(DataError, match=message):
+        read_artifact(path, name)
+
+
+def test_offsets_are_checked_when_they_are_read_alone(tmp_path):
+    path = tmp_path / "a.h5"
+    write_artifact(path, "clouds", clouds(), stage="s", stage_version=1, key="k", params={}, inputs={})
+    read_artifact(path, "clouds", ("offsets",))
+    with h5py.File(path, "a") as file:
+        file["offsets"][1] = 20
+    with pytest.raises(DataError, match="do not rise from 0"):
+        read_artifact(path, "clouds", ("offsets",))

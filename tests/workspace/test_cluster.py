@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -17,7 +16,7 @@ from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
-from tests.cli import piegraph
+from tests.cli import PATIENCE, PROGRAM, piegraph
 
 SETTINGS = {"envs": ["tblock"], "models": ["piegraph"], "goals": 3, "seeds": 4, "strokes": 6}
 QUICK_TO_NOTICE = {
@@ -61,8 +60,8 @@ def workers(raylet: int) -> list[int]:
     return [int(line.split()[0]) for line in listed.splitlines() if "ray::piegraph" in line]
 
 
-def wait_for(condition, seconds=60.0):
-    limit = time.monotonic() + seconds
+def wait_for(condition):
+    limit = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < limit
         time.sleep(0.05)
@@ -76,15 +75,7 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     (node,) = cluster.worker_nodes
     raylet, done = process_of(node), runs / "paper" / "trials"
     options = [f"--{name}={','.join(value) if isinstance(value, list) else value}" for name, value in SETTINGS.items()]
-    command = [
-        sys.executable,
-        "-c",
-        "from piegraph_cli.commands.program import main; main()",
-        "trials",
-        "--backend",
-        "ray",
-        "--json",
-    ]
+    command = [*PROGRAM, "trials", "--backend", "ray", "--json"]
     process = subprocess.Popen(
         [*command, "--run", runs / "paper", *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -93,7 +84,7 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
         (worker,) = workers(raylet)
         cluster.remove_node(node, allow_graceful=False)
         before = len(list(done.glob("*.h5")))
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate()
     finally:
         process.kill()
     assert process.returncode == 0, err

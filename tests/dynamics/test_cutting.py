@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piegraph_cli.dynamics.strokes import cut_strokes, frame_pairs
+from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs
 
 
 def path(frames: int = 12) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piegraph_cli.dynamics.action import MIN_STROKE
+from piegraph_cli.dynamics.stroke import MIN_STROKE
 
 
 def cut_strokes(end_effector: np.ndarray, contact: np.ndarray, min_length: float) -> np.ndarray:

@@ -1,0 +1,114 @@
+"""Episodes of planning in a simulated environment, closed loop."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.models import Trained
+from piegraph_cli.dynamics.stroke import Strokes
+from piegraph_cli.errors import DataError
+from piegraph_cli.planning.mpc import Step, run_episode
+from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.planner import Goal, Tool, check_inside, make_planner
+from piegraph_cli.planning.search import Plan
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One attempt at a goal."""
+
+    start: np.ndarray
+    """[N, 3] metres."""
+    goal: np.ndarray
+    """[G, 3] metres."""
+    steps: list[Step]
+    start_distance: float
+    """To the goal, by the planner's cost, metres."""
+    end_distance: float
+    """NaN where nothing was carried out."""
+
+    @property
+    def strokes(self) -> Strokes | None:
+        """The strokes [S] in their order; None where there is none."""
+        return Strokes.stack([step.plan.strokes[0] for step in self.steps]) if self.steps else None
+
+    @property
+    def predicted(self) -> np.ndarray:
+        """The object [S, N, 3] (m) as it is expected after each stroke."""
+        return np.array([step.plan.predicted[0].numpy() for step in self.steps]).reshape(-1, *self.start.shape)
+
+    @property
+    def states(self) -> list[np.ndarray]:
+        """The object [N, 3] (m) at the start, and after each stroke."""
+        return [self.start, *(step.after for step in self.steps)]
+
+
+def play(
+    environment: Any,
+    trained: Trained | None,
+    params: PlanParams,
+    choose_goal: Callable[[np.ndarray, Callable[[], np.ndarray]], Goal] | None = None,
+    *,
+    start: int,
+    goal: int,
+) -> Episode:
+    """Plan in an environment (`environments.base.Environment`) from start number `start` to goal number `goal`.
+
+    Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones; a goal
+    is drawn relative to the start. `choose_goal(state, sample)` may give another goal than the environment's.
+    `trained` may be None where `params.model` is not trained.
+    """
+    state, _ = environment.reset(seed=int(np.random.SeedSequence([params.seed, 0, start]).generate_state(1)[0]))
+    rng = np.random.default_rng([params.seed, 1, goal])
+    wanted = choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal(environment.goal(rng), True)
+    tool, seed = tool_of(environment), [params.seed, 2, start, goal]
+    cost, make_plan = make_planner(trained, state, wanted, params, tool, seed)
+
+    def act(stroke: Strokes) -> tuple[np.ndarray, bool]:
+        after, _, _, _, info = environment.step(stroke.action())
+        return after, info["blocked"]
+
+    seeing = np.random.default_rng([params.seed, 3, start, goal])
+
+    def look(positions: torch.Tensor) -> Plan | None:
+        return make_plan(positions + torch.as_tensor(seeing.normal(0, params.state_noise, positions.shape)).float())
+
+    steps = list(run_episode(state, look, act, cost, strokes=params.strokes, success=params.success))
+    first = float(cost(torch.as_tensor(state)[None])[0])
+    return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first)
+
+
+def tool_of(environment: Any) -> Tool:
+    """What acts in an environment that has been reset: only then is the pusher of some known."""
+    return Tool(environment.modes, environment.pusher_radius)
+
+
+def plan_once(trained: Trained | None, state: np.ndarray, goal: Goal, params: PlanParams) -> Episode:
+    """Plan strokes for a robot that sees the object's particles `state` [N, 3] (m): steps that nobody has carried out.
+
+    No steps where the goal is reached already. Raises `DataError` where no stroke is feasible.
+    """
+    check_inside(state, params, "the object")
+    cost, make_plan = make_planner(trained, state, goal, params, Tool(), [params.seed, 2, 0, 0])
+    start = float(cost(torch.as_tensor(state)[None])[0])
+    if start < params.success:
+        return Episode(state, goal.points, [], start, start)
+    plan = make_plan(torch.as_tensor(state))
+    if plan is None:
+        raise DataError(
+            "no stroke touches the object inside the workspace", hint="widen plan.workspace or move the object"
+        )
+    steps, before, unknown = [], state, np.full_like(state, np.nan)
+    for k in range(len(plan.strokes)):
+        later = replace(
+            plan,
+            strokes=plan.strokes[k:],
+            predicted=plan.predicted[k:],
+            cost=float(cost(plan.predicted[k][None])[0]),
+        )
+        steps.append(Step(later, before, unknown, float("nan"), False, 0.0))
+        before = plan.predicted[k].numpy()
+    return Episode(state, goal.points, steps, start, float("nan"))

@@ -1,0 +1,90 @@
+"""A model as one object: what was learned of one kind of object, by name, with the settings to predict and plan with it."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.models import Trained, make_predict
+from piegraph_cli.dynamics.stroke import Predict, Strokes
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import validated
+from piegraph_cli.physics.tracking import choose_particles
+from piegraph_cli.planning.episode import Episode, plan_once
+from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.planner import Goal, move_in_plane
+
+PARTICLES = 50
+"""Of an object, for models that are not trained."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Predicts particles after strokes, and plans strokes to a goal. World frame, metres, radians, z up."""
+
+    label: str
+    """As in `train.models` and `evaluate.models`: `piegraph`, `pgnd@20`, `static`."""
+    trained: Trained | None
+    """None where nothing is learned, as for `static` and `sms-no`."""
+    settings: PlanParams = field(default_factory=PlanParams)
+    """In force where a call gives no others."""
+
+    @property
+    def particles(self) -> int:
+        """How many particles an object has that it was trained on."""
+        return self.trained.particles if self.trained else PARTICLES
+
+    def of_object(self, rest: Any) -> Predict:
+        """The prediction for one object at rest [N, 3] (m), on tensors: (positions [B, N, 3], strokes [B]) -> [B, N, 3]."""
+        return make_predict(self.label, self.trained, torch.as_tensor(_points(rest, "rest")), self.settings)
+
+    def predict(self, positions: Any, strokes: Strokes, *, rest: Any = None) -> np.ndarray:
+        """Particles [B, N, 3] float32 (m) after one stroke each, from positions [B, N, 3] or, for all strokes, [N, 3] (m).
+
+        `rest` [N, 3] (m) is the object's rest shape, in the same order of particles; by default the first positions. Raises
+        `DataError` for values that are not finite, strokes without a heading, and shapes that do not belong together.
+        """
+        now = np.asarray(positions, np.float32)
+        now = np.repeat(now[None], len(strokes), 0) if now.ndim == 2 else now
+        if now.ndim != 3 or len(now) != len(strokes):
+            raise DataError(
+                f"positions {list(now.shape)} for {len(strokes)} strokes", "predict", "give [B, N, 3] or [N, 3]"
+            )
+        _points(now.reshape(-1, now.shape[-1]), "positions")
+        predict = self.of_object(now[0] if rest is None else rest)
+        return predict(torch.as_tensor(now), strokes.to(torch.float32)).numpy()
+
+    def plan(
+        self, state: Any, *, goal: Any = None, goal_pose: Any = None, corresponds: bool = False, **settings: Any
+    ) -> Episode:
+        """The next strokes for an object whose cloud or particles are `state` [P, 3] (m), P at least `particles`.
+
+        The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, or a
+        motion of the object (DX, DY (m), DYAW (rad)). Settings are those of `piegraph plan`. No strokes where the goal is
+        reached already. Raises `UsageError` for settings, and `DataError` for states and goals, that cannot be used.
+        """
+        values = self.settings.model_dump() | {"model": self.label} | settings
+        params = validated(PlanParams, values, "plan", "Model.plan", "piegraph plan --help")
+        cloud = _points(state, "state")
+        if len(cloud) < self.particles:
+            raise DataError(
+                f"{len(cloud)} points, the model needs {self.particles} or more", "state", "give the whole cloud"
+            )
+        seen = choose_particles(cloud, self.particles).astype(np.float32)
+        if (goal is None) == (goal_pose is None):
+            raise DataError("one goal is needed", "plan", "give goal or goal_pose")
+        target = (
+            Goal(move_in_plane(seen, goal_pose), True) if goal is None else Goal(_points(goal, "goal"), corresponds)
+        )
+        return plan_once(self.trained, seen, target, params)
+
+
+def _points(points: Any, what: str) -> np.ndarray:
+    """Points [P, 3] float32, finite."""
+    array = np.array(points, np.float32)  # a copy: what is read-only is no tensor
+    if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
+        raise DataError(
+            f"not finite points [P, 3] but an array {list(array.shape)}", what, "give metres in the world frame"
+        )
+    return array

@@ -1,0 +1,146 @@
+"""The planner that settings ask for, for one object and one goal."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.models import Trained, make_predict
+from piegraph_cli.dynamics.params import trained_label
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import PICK, PUSH, mode_number, mode_word
+from piegraph_cli.planning.costs import Cost, make_cost
+from piegraph_cli.planning.greedy import put_worst_right
+from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
+from piegraph_cli.planning.search import Plan, plan_strokes
+
+MakePlan = Callable[[torch.Tensor], Plan | None]
+"""From particles now [N, 3] (m); None where no stroke is feasible."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the object shall be."""
+
+    points: np.ndarray
+    """[G, 3] metres."""
+    corresponds: bool
+    """Whether its points are the object's particles, one by one."""
+
+
+@dataclass(frozen=True)
+class Tool:
+    """What acts: a robot by default."""
+
+    modes: tuple[int, ...] | None = None
+    """What it can do; None: everything."""
+    pusher_radius: float | None = None
+    """Metres; None where it is not known."""
+
+
+def make_planner(
+    trained: Trained | None, state: np.ndarray, goal: Goal, params: PlanParams, tool: Tool, seed: list[int]
+) -> tuple[Cost, MakePlan]:
+    """The cost, and the function that plans from positions [N, 3] (m), for the object whose rest state is `state` [N, 3].
+
+    `trained` is None where `params.model` is not trained.
+    """
+    check_inside(goal.points, params, "the goal")
+    kind = params.cost if params.cost != "auto" else "distance" if goal.corresponds else "chamfer"
+    target = torch.as_tensor(goal.points)
+    cost = make_cost(kind, target, len(state))
+    needed = trained_label(params.model) is not None and params.planner != "greedy"
+    modes = choose_modes(params, trained.modes if needed and trained else None, tool.modes)
+    if params.planner == "greedy":
+        if PICK not in modes or not goal.corresponds:
+            raise UsageError("the greedy planner picks, and needs to know which particle belongs where", "plan.planner")
+        return cost, lambda positions: put_worst_right(positions, target, cost)
+    predict = make_predict(params.model, trained, torch.as_tensor(state), params)
+    space = stroke_space(torch.as_tensor(state), params, modes, pusher_radius(params, tool))
+    generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
+    return cost, lambda positions: plan_strokes(positions, predict, cost, space, params, generator)
+
+
+def pusher_radius(params: PlanParams, tool: Tool) -> float:
+    """The tool's own (m) where it is known, unless the settings ask for one: for another than their default.
+
+    A value, not whether it was given, decides: keys of artifacts know values alone.
+    """
+    asked = params.pusher_radius != type(params).model_fields["pusher_radius"].default
+    return params.pusher_radius if asked or tool.pusher_radius is None else tool.pusher_radius
+
+
+def tool_warnings(params: PlanParams, tool: Tool) -> list[str]:
+    """What to tell where the settings overrule the tool."""
+    planned = pusher_radius(params, tool)
+    if tool.pusher_radius is None or planned == tool.pusher_radius:
+        return []
+    return [
+        f"planned with plan.pusher_radius {planned:g} m, while the pusher of {params.env} has {tool.pusher_radius:g} m: "
+        "leave the setting out"
+    ]
+
+
+def stroke_space(state: torch.Tensor, params: PlanParams, modes: tuple[int, ...], radius: float) -> StrokeSpace:
+    """The strokes to search for an object whose rest state is `state` [N, 3] (m), with a pusher of that radius (m).
+
+    Raises `UsageError` if the longest push ends before it has gone into the object.
+    """
+    shortest = CLEARANCE + DEPTH * radius
+    if PUSH in modes and params.max_length <= shortest:
+        raise UsageError(
+            f"pushes of {params.max_length:g} m at most do not go into the object with this pusher",
+            "plan.max_length",
+            f"more than {shortest:g}",
+        )
+    return StrokeSpace(
+        modes,
+        solid_edges(state),
+        params.min_length,
+        params.max_length,
+        params.max_carry,
+        radius,
+        params.margin,
+        params.workspace,
+    )
+
+
+def choose_modes(params: PlanParams, learned: tuple[int, ...] | None, known: tuple[int, ...] | None) -> tuple[int, ...]:
+    """The modes to plan with: those asked for, else those that model and environment share; None means all."""
+    wanted = tuple(mode_number(name) for name in params.modes) or None
+    for has, what in ((learned, "the model was trained on"), (known, f"{params.env} knows")):
+        names = [mode_word(m) for m in has or ()]
+        missing = [mode_word(m) for m in wanted or () if has is not None and m not in has]
+        if missing:
+            raise UsageError(f"no {missing[0]} can be planned: {what} {', '.join(names)} only", "plan.modes")
+    modes = wanted or tuple(m for m in (PUSH, PICK) if all(has is None or m in has for has in (learned, known)))
+    if not modes:
+        raise UsageError(
+            f"the model was trained on {mode_word((learned or (PUSH,))[0])} strokes, which {params.env} does not know",
+            "plan",
+            "train on strokes of this environment",
+        )
+    return modes
+
+
+def check_inside(points: np.ndarray, params: PlanParams, what: str) -> None:
+    """Refuse points [P, 3] (m) whose middle lies outside the workspace. Raises DataError."""
+    xmin, xmax, ymin, ymax = params.workspace[:4]
+    x, y = points[:, :2].mean(0)
+    if not (xmin <= x <= xmax and ymin <= y <= ymax):
+        raise DataError(
+            f"{what} lies around ({x:.2f}, {y:.2f}) m, outside plan.workspace",
+            hint="points are metres in the world frame; correct them, or widen --workspace",
+        )
+
+
+def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:
+    """Points [N, 3] (m) turned by DYAW (rad) about their centre and moved by DX, DY (m)."""
+    dx, dy, yaw = motion
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    centre = points[:, :2].mean(0)
+    moved = points.copy()
+    moved[:, :2] = (points[:, :2] - centre) @ rotation.T + centre + [dx, dy]
+    return moved.astype(np.float32)

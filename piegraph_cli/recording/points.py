@@ -1,0 +1,180 @@
+"""Point clouds that others wrote, PLY and NPZ files, each held against its own length before its points are read.
+
+A file that was cut off, or whose arrays contradict each other, is refused: half a cloud sends a robot elsewhere.
+"""
+
+import io
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.recording.ply import AGAIN, HEADER_BYTES, read_ply
+
+MAX_BYTES = 1 << 30
+"""The largest file, and the most that all arrays of an .npz may unpack to."""
+
+PER_FRAME = ("time", "mode", "contact", "end_effector", "residual", "visibility")
+PER_POINT = ("colors", "normals")
+"""Arrays beside the points of an .npz whose length must agree with them."""
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Clouds of several frames: points [P, 3], those of frame f from `offsets[f]` to `offsets[f + 1]`; offsets [F + 1]."""
+
+    points: np.ndarray
+    offsets: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __getitem__(self, frame: int) -> np.ndarray:
+        low, high = self.offsets[frame % len(self)], self.offsets[frame % len(self) + 1]
+        return self.points[low:high]
+
+
+Frames = list[np.ndarray] | np.ndarray | Clouds
+Reader = Callable[[Path], Frames]
+
+
+def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np.ndarray:
+    """Points [P, 3] float32 (m, world) of a .ply or .npz file, or of a kind that a reader in `more` knows by its suffix.
+
+    Of several frames the given one, else the last. Raises `DataError` for what is no regular file, is cut off, holds more
+    than its header says, contradicts itself, or has no points or points that are not finite.
+    """
+    readers: dict[str, Reader] = {".ply": _vertices, ".npz": _read_npz, **more}
+    names = ", ".join(readers)
+    if not path.is_file():
+        message = "is not a regular file" if path.exists() else "no such file"
+        raise DataError(message, str(path), f"give a file of {names}")
+    if path.suffix not in readers:
+        suffix = path.suffix or "a file without suffix"
+        raise DataError(f"cannot read clouds from {suffix}", str(path), f"use {names}")
+    frames = readers[path.suffix](path)
+    index = len(frames) - 1 if frame is None else frame
+    if not -len(frames) <= index < len(frames):
+        raise DataError(f"has {len(frames)} frames, no frame {index}", str(path), "use 0 for the first")
+    where = f"{path}, frame {index}"
+    with np.errstate(over="ignore"):
+        points = np.asarray(frames[index], np.float32)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise DataError(f"holds no finite points [P, 3] but an array {points.shape}", where, "give another file")
+    broken = int((~np.isfinite(points)).any(1).sum())
+    if broken:
+        raise DataError(
+            f"{broken} of {len(points)} points are not finite", where, "leave them out when the file is written"
+        )
+    return points
+
+
+def _size(path: Path) -> int:
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise DataError(
+            f"has {size} bytes, clouds of at most {MAX_BYTES} are read",
+            str(path),
+            "thin the cloud out before writing it",
+        )
+    return size
+
+
+def _vertices(path: Path) -> Frames:
+    return [read_ply(path, _size(path))]
+
+
+def _read_npz(path: Path) -> Frames:
+    """The first array of an .npz file: [P, 3], with integer `offsets` [F + 1] several clouds, or [F, P, 3]."""
+    _size(path)
+    try:
+        with zipfile.ZipFile(path) as file:
+            arrays = _npz_headers(file, path)
+            name = next(iter(arrays))
+            shape, kind = arrays[name].shape, arrays[name].dtype.kind
+            if kind not in "fiu" or len(shape) not in (2, 3) or shape[-1] != 3:
+                message = (
+                    f"its first array, {name}, is {arrays[name].dtype} {list(shape)}, not points [P, 3] or [F, P, 3]"
+                )
+                raise DataError(message, str(path), "write the points as the first array")
+            points = _npz_array(file, name)
+            offsets = _npz_array(file, "offsets") if "offsets" in arrays else None
+    except DataError:
+        raise
+    except Exception as error:  # whatever zip, deflate and .npy readers raise for broken files
+        raise DataError(f"not a readable .npz file: {error}", str(path), AGAIN) from None
+    if offsets is not None:
+        _check_offsets(offsets, points, f"{path}, array offsets")
+    frames: Frames = Clouds(points, offsets) if offsets is not None else [points] if points.ndim == 2 else points
+    _check_lengths({other: array.shape for other, array in arrays.items() if other != name}, frames, points, path)
+    return frames
+
+
+@dataclass(frozen=True)
+class _Array:
+    """What the header of a .npy member says."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
+
+def _npz_headers(file: zipfile.ZipFile, path: Path) -> dict[str, _Array]:
+    """The arrays of an .npz by name, each header held against the size that the zip directory states."""
+    members = file.infolist()
+    total = sum(member.file_size for member in members)
+    if total > MAX_BYTES:
+        raise DataError(f"unpacks to {total} bytes, at most {MAX_BYTES} are read", str(path), "thin the clouds out")
+    arrays: dict[str, _Array] = {}
+    for member in members:
+        name = member.filename.removesuffix(".npy")
+        if name == member.filename or name in arrays:
+            raise DataError(f"holds {member.filename} twice or as no array", str(path), "write it with numpy.savez")
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise DataError(f"array {name} is packed in an unknown way", str(path), "write it with numpy.savez")
+        with file.open(member) as stream:
+            head = io.BytesIO(stream.read(HEADER_BYTES))
+        version = np.lib.format.read_magic(head)
+        if version not in ((1, 0), (2, 0)):
+            raise DataError(f"array {name} has the unknown version {version}", str(path), "write numbers alone")
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(head)
+        if dtype.hasobject:
+            raise DataError(f"array {name} holds Python objects, which are not read", str(path), "write numbers alone")
+        needed = head.tell() + math.prod(shape) * dtype.itemsize
+        if min(shape, default=0) < 0 or needed != member.file_size:
+            message = f"array {name} of {dtype} {list(shape)} needs {needed} bytes, it has {member.file_size}"
+            raise DataError(message, str(path), AGAIN)
+        arrays[name] = _Array(shape, dtype)
+    if not arrays:
+        raise DataError("holds no array", str(path), "write the points with numpy.savez")
+    return arrays
+
+
+def _npz_array(file: zipfile.ZipFile, name: str) -> np.ndarray:
+    with file.open(f"{name}.npy") as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def _check_offsets(offsets: np.ndarray, points: np.ndarray, where: str) -> None:
+    if points.ndim != 2 or offsets.ndim != 1 or offsets.dtype.kind not in "iu" or len(offsets) < 2:
+        raise DataError(
+            "offsets must be integers [F + 1] beside points [P, 3]", where, "leave offsets out, or write both again"
+        )
+    if offsets[0] != 0 or offsets[-1] != len(points) or (offsets[1:] < offsets[:-1]).any():
+        message = f"offsets must rise from 0 to the {len(points)} points, they go from {offsets[0]} to {offsets[-1]}"
+        raise DataError(message, where, "write points and offsets again, of the same clouds")
+
+
+def _check_lengths(others: Mapping[str, tuple[int, ...]], frames: Frames, points: np.ndarray, path: Path) -> None:
+    """Refuse arrays of frames, beside several clouds, and of points whose length is another."""
+    expected = dict.fromkeys(PER_FRAME, len(frames)) if not isinstance(frames, list) else {}
+    expected |= dict.fromkeys(PER_POINT, len(points)) if points.ndim == 2 else {}
+    for name, shape in others.items():
+        if name in expected and shape[:1] != (expected[name],):
+            message = f"array {name} {list(shape)} contradicts the points {list(points.shape)}"
+            hint = f"expected length {expected[name]}: write both again, of the same clouds"
+            raise DataError(message, str(path), hint)

@@ -1,0 +1,64 @@
+"""Models of runs, and models as files of their own."""
+
+from pathlib import Path
+
+from piegraph_cli.dynamics.params import trained_label
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import validated
+from piegraph_cli.planning.model import Model
+from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.process import set_up_torch
+from piegraph_cli.stages import open_run, train
+from piegraph_cli.stages.learning import read_model
+from piegraph_cli.workspace.artifact import Artifact, read_artifact, write_artifact
+
+
+def load_model(source: Path | str, label: str | None = None, *, seed: int | None = None) -> Model:
+    """A model of a run folder, by label (`piegraph`) and seed (the first trained), or of one file.
+
+    A file may come from another computer: it is one of RUN/model, or of `save_model`, which keeps the settings to plan with
+    too. In a run these are its recipe's. Raises `DataError` where there is no such model.
+    """
+    set_up_torch()
+    path = Path(source)
+    if path.is_dir():
+        label = label or "piegraph"
+        artifact, plan = _model_of_run(path, label, seed)
+        return Model(label, read_model(artifact) if artifact else None, plan)
+    artifact = read_artifact(path, "model")
+    own = artifact.params["label"]
+    if label is not None and trained_label(label) != own:
+        raise DataError(f"holds {own}, not {label}", str(path), "another file, or no label")
+    plan = validated(PlanParams, artifact.params.get("plan", {}), "plan", str(path), "another model file")
+    return Model(label or own, read_model(artifact), plan)
+
+
+def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, seed: int | None = None) -> None:
+    """Write a trained model of a run folder, with the run's settings to plan with, as one file for `load_model`.
+
+    Raises `DataError` where it is not trained, or the disk is full.
+    """
+    artifact, plan = _model_of_run(Path(run), label, seed)
+    if artifact is None:
+        raise DataError(f"{label} is not trained: there is nothing to save", str(run), "another label")
+    settings = plan.model_dump(mode="json", exclude={*PlanParams.query, "model", "daxbench_python", "daxbench_repo"})
+    write_artifact(
+        Path(path),
+        "model",
+        artifact.arrays,
+        stage=train.STAGE.name,
+        stage_version=train.STAGE.version,
+        key=artifact.key,
+        params=artifact.params | {"plan": settings},
+        inputs=artifact.inputs,
+        quality=artifact.quality,
+    )
+
+
+def _model_of_run(folder: Path, label: str, seed: int | None) -> tuple[Artifact | None, PlanParams]:
+    """What a model of a run has learned, if anything, and the run's settings to plan with."""
+    run = open_run(folder)
+    seeds = run.params("train").seeds_of(label)
+    own = train.trained_name(train.model_name(label, seeds[0] if seed is None else seed))
+    plan = run.params("plan").model_copy(update=dict.fromkeys(PlanParams.query))
+    return run.read("model", own) if own else None, plan

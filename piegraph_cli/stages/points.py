@@ -1,0 +1,23 @@
+"""Point clouds that a command is given: files of others, and artifacts of runs."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piegraph_cli.recording import points
+from piegraph_cli.workspace.artifact import read_artifact, read_header
+
+
+def read_points(path: Path, frame: int | None) -> np.ndarray:
+    """Points [P, 3] float32 (m, world) of a .ply, .npz (first array [P, 3] or [F, P, 3]) or .h5 (clouds or tracks) file.
+
+    Of several frames the given one, else the last. Raises `DataError` for what cannot be trusted to be whole.
+    """
+    return points.read_points(path, frame, {".h5": _frames_of_artifact})
+
+
+def _frames_of_artifact(path: Path) -> points.Frames:
+    if read_header(path, "clouds"):
+        clouds = read_artifact(path, "clouds")
+        return points.Clouds(clouds["points"], clouds["offsets"])
+    return read_artifact(path, "tracks")["positions"]

@@ -1,0 +1,58 @@
+"""Closed loops in an environment: the same starts and goals for all, models that are not trained, the pusher that acts."""
+
+import numpy as np
+import pytest
+from torch.nn.functional import pad
+
+from piegraph_cli.planning import planner
+from piegraph_cli.planning.episode import Episode, play
+from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.planner import Goal
+from tests.planning.block import Block
+
+SETTINGS = {"samples": 40, "cem_iterations": 3, "strokes": 4, "success": 0.03}
+
+
+def episode(model: str, start: int = 0, goal: int = 0, environment: Block | None = None, **settings) -> Episode:
+    return play(environment or Block(), None, PlanParams(model=model, **SETTINGS | settings), start=start, goal=goal)
+
+
+def test_a_model_that_knows_the_block_pushes_it_to_its_goal(monkeypatch):
+    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    found = episode("static")
+    assert found.start_distance > 0.07
+    assert found.end_distance < 0.03
+    assert not any(step.blocked for step in found.steps)
+    assert len(found.states) == len(found.steps) + 1
+    for step, before, after in zip(found.steps, found.states, found.states[1:], strict=False):
+        np.testing.assert_array_equal(step.before, before)
+        np.testing.assert_array_equal(step.after, after)
+    assert found.end_distance == pytest.approx(np.linalg.norm(found.states[-1] - found.goal, axis=1).mean(), abs=1e-6)
+
+
+def test_a_narrower_pusher_than_the_one_that_acts_starts_inside():
+    assert all(step.blocked for step in episode("sms-no", pusher_radius=0.0101).steps)
+
+
+def test_every_model_meets_the_same_start_and_goal():
+    one, other = episode("sms-no"), episode("static")
+    np.testing.assert_array_equal(one.start, other.start)
+    np.testing.assert_array_equal(one.goal, other.goal)
+    assert not np.array_equal(one.start, episode("static", start=1).start)
+    elsewhere = episode("static", goal=1)
+    np.testing.assert_array_equal(one.start, elsewhere.start)
+    assert not np.array_equal(one.goal, elsewhere.goal)
+
+
+def test_an_episode_does_not_depend_on_those_before_it():
+    environment = Block()
+    episode("static", start=3, environment=environment)
+    again, alone = episode("sms-no", environment=environment), episode("sms-no")
+    np.testing.assert_array_equal(again.states, alone.states)
+
+
+def test_another_goal_may_be_chosen():
+    params = PlanParams(model="static", **SETTINGS)
+    found = play(Block(), None, params, lambda state, sample: Goal(state, True), start=0, goal=0)
+    assert (found.steps, found.start_distance, found.end_distance) == ([], 0.0, 0.0)
+    assert len(found.states) == 1

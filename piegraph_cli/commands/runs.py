@@ -48,16 +48,7 @@ def run(
     if recipe is None and (run is None or not (run / "recipe.toml").exists()):
         raise UsageError("no recipe given", hint="piegraph run RECIPE, or --run with a folder that has a recipe.toml")
     folder = run or Path("runs") / Path(str(recipe)).stem
-    opened = open_run(folder)
-    if recipe is not None:
-        opened.recipe = load_recipe(find_recipe(recipe), STAGES)
-    named = opened.recipe
-    for text in set or []:
-        stage, setting, value = parse_setting(text, STAGES)
-        opened.recipe = opened.recipe.with_values(stage, {setting: value}, f"--set {text}", Path.cwd())
-    names = [stage.name for stage in opened.recipe.chain()]
-    if until is not None and until not in names:
-        raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
+    opened, named = _opened(folder, recipe, set or [], until)
     if rehash:
         opened.known.forget()
     if dry:
@@ -66,6 +57,21 @@ def run(
     with logging_to(folder):
         outcomes = _run(opened, named, until, Options((), force, jobs, backend, device))
     emit(summary(outcomes, folder), as_json)
+
+
+def _opened(folder: Path, recipe: str | None, changes: list[str], until: str | None) -> "tuple[Run, Recipe]":
+    """The run with the recipe to follow, changed as asked; and that recipe without the changes."""
+    run = open_run(folder)
+    if recipe is not None:
+        run.recipe = load_recipe(find_recipe(recipe), STAGES)
+    named = run.recipe
+    for text in changes:
+        stage, setting, value = parse_setting(text, STAGES)
+        run.recipe = run.recipe.with_values(stage, {setting: value}, f"--set {text}", Path.cwd())
+    names = [stage.name for stage in run.recipe.chain()]
+    if until is not None and until not in names:
+        raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
+    return run, named
 
 
 def _run(run: "Run", named: Recipe, until: str | None, options: "Options") -> "list[Outcome]":

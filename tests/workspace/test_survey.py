@@ -4,6 +4,7 @@ import dataclasses
 import json
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -148,3 +149,20 @@ def test_a_forced_write_to_a_full_disk_leaves_what_was_fresh(ingested):
 
 def test_counts_of_nothing():
     assert count_states([]) == []
+
+
+@pytest.mark.parametrize("command", [["status"], ["run"], ["run", "--dry"]])
+def test_nothing_heavy_is_imported_where_all_is_fresh(tiny_run, tmp_path, command):
+    shutil.copytree(tiny_run, tmp_path / "run")
+    arguments = [*command, "--run", str(tmp_path / "run")]
+    program = f"""
+import sys
+from piegraph_cli.commands.program import call
+code = call({arguments})
+print([name for name in sys.modules if "." not in name])
+sys.exit(code)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=REPOSITORY, check=True)
+    assert "'numpy'" in done.stdout.splitlines()[-1]
+    for heavy in ("torch", "cv2", "scipy", "pymunk", "matplotlib", "joblib", "open3d"):
+        assert f"'{heavy}'" not in done.stdout.splitlines()[-1], heavy

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from piegraph_cli.bench.kernels import network_rows, spring_rows
 from piegraph_cli.bench.measure import Row, cache_rate, machine_rows, peak
 from piegraph_cli.bench.pipeline import perception_rows, plan_rows, track_rows, train_rows
+from piegraph_cli.bench.workspace import workspace_rows
 from piegraph_cli.errors import UsageError
 from piegraph_cli.process import set_up_torch
 
@@ -24,6 +25,7 @@ def run_benchmarks(subjects: list[str], run: Path | None) -> Iterator[Row]:
         "plan": plan_rows,
         "track": track_rows,
         "train": train_rows,
+        "workspace": workspace_rows,
         "perception": partial(perception_rows, run),
     }
     unknown = [subject for subject in subjects if subject not in known]

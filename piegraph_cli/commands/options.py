@@ -27,6 +27,15 @@ Backend = Annotated[
 Device = Annotated[
     Literal["auto", "cpu", "cuda"], typer.Option("--device", help="device of the network", rich_help_panel=RUNNING)
 ]
+Rehash = Annotated[
+    bool,
+    typer.Option(
+        "--rehash",
+        help="read every file again, even if it looks as it did when it was last read",
+        rich_help_panel=RUNNING,
+        show_default=False,
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object", show_default=False)]
 Settings = Annotated[list[str] | None, typer.Option("--set", help="STAGE.SETTING=VALUE, in place of the recipe's")]
 

@@ -19,7 +19,7 @@ INTERRUPTED = 130
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
-    "Runs": {"run": runs.run, "status": runs.status, "report": runs.report, "view": runs.view},
+    "Runs": {"run": runs.run, "status": runs.status, "clean": runs.clean, "report": runs.report, "view": runs.view},
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {
         "list": tools.list_names,

@@ -76,7 +76,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="SUBJECT ...",
-            help="sms, egnn, plan, track, train, perception [default: all; perception only with --run]",
+            help="sms, egnn, plan, track, train, workspace, perception [default: all; perception only with --run]",
         ),
     ] = None,
     run: Annotated[Path | None, typer.Option(help="run folder with a recording's results, for perception")] = None,

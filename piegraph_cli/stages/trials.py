@@ -45,7 +45,7 @@ def _settings(run: "Run", unit: str) -> TrialParams:
     """
     params: TrialsParams = run.params(STAGE.name)
     env, model, goal, seed = split_name(unit)
-    trained = run.open((params.trained or run.folder.resolve().parent) / env, run.recipe.table)
+    trained = run.beside((params.trained or run.folder.resolve().parent) / env)
     kept: PlanParams = trained.params("plan")
     settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}

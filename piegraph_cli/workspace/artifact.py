@@ -154,7 +154,14 @@ class Header:
 
     key: str
     version: int
-    params: dict[str, Any]
+    settings: str
+    """Its params as JSON."""
+    quality: str
+
+    @property
+    def params(self) -> dict[str, Any]:
+        """The settings it was made with."""
+        return json.loads(self.settings)
 
 
 def read_header(path: Path, name: str) -> Header | None:
@@ -164,7 +171,9 @@ def read_header(path: Path, name: str) -> Header | None:
     try:
         with _open(path, name) as file:
             attributes = _attributes(file, path, name)
-            return Header(attributes["key"], int(file.attrs["stage_version"]), json.loads(attributes["params"]))
+            json.loads(attributes["params"])
+            version = int(file.attrs["stage_version"])
+            return Header(attributes["key"], version, attributes["params"], attributes["quality"])
     except (DataError, KeyError, ValueError):
         return None
 

@@ -1,5 +1,6 @@
 """Running stages: skip what is fresh, take the lock, read, call, write; over units in parallel; failures kept apart."""
 
+import contextlib
 import logging
 import time
 import traceback
@@ -87,14 +88,22 @@ def run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
     Units that failed in an earlier stage are failures here as well, without being tried.
     """
     run = Run(run.folder, run.recipe)
+    try:
+        return _run_stage(run, stage, options)
+    finally:
+        run.known.save()
+
+
+def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
     wanted = [u for u in run.units(stage) if not options.only or u in options.only]
     for unit in wanted[:1]:
         _require_inputs(run, stage, unit)
     left_out = {u: why for u in wanted if (why := run.failed_before(stage, u))}
     units = [u for u in wanted if u not in left_out]
     todo = [u for u in units if options.force or not run.fresh(stage, u)]
-    outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in todo]
-    outcomes += _work_through(run, stage, todo, options)
+    tried = set(todo)
+    outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in tried]
+    outcomes += _work_through(run, stage, todo, options) if todo else []
     _log_outcomes(outcomes)
     if todo:
         try:
@@ -111,15 +120,25 @@ def _work_through(run: Run, stage: Stage, units: list[Unit], options: Options) -
     from tqdm import tqdm
 
     many = len(units) > 1 or options.backend == "ray"
+    jobs = max(1, min(options.jobs, len(units)))
+    if jobs > 1 or options.backend == "ray":
+        _tell_processes(run, stage, units)
     work = partial(run_unit, Run(run.folder.resolve(), run.recipe), stage, options=options, quiet=many)
 
     def lost(unit: Unit, error: PiegraphError) -> Outcome:
         return Outcome(stage.name, unit, "failed", 0.0, error=error)
 
-    jobs = max(1, min(options.jobs, len(units)))
     bar = tqdm(total=len(units), desc=stage.name, leave=False, disable=None if many else True)
     with bar:
         return [outcome for outcome in each(work, units, jobs, options.backend, lost) if bar.update() or True]
+
+
+def _tell_processes(run: Run, stage: Stage, units: list[Unit]) -> None:
+    """Keep what the keys of these units need in the run folder, where other processes read it once, when they start."""
+    for unit in units:
+        with contextlib.suppress(PiegraphError, OSError):  # whoever works on the unit says so
+            run.key(stage, unit)
+    run.known.save()
 
 
 def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool = True) -> Outcome:
@@ -200,10 +219,8 @@ def _require_inputs(run: Run, stage: Stage, unit: Unit) -> None:
 
 
 def _quality(run: Run, stage: Stage, unit: Unit) -> str:
-    import h5py
-
-    with h5py.File(run.path(stage.writes, unit), "r") as file:
-        return str(file.attrs["quality"])
+    header = run.header(stage, unit)
+    return header.quality if header else ""
 
 
 class _locked:
@@ -245,31 +262,17 @@ def _log_outcomes(outcomes: list[Outcome]) -> None:
 def run_chain(run: Run, until: str | None, options: Options) -> list[Outcome]:
     """Run a recipe's stages in order, each on what the stages before it could make."""
     outcomes: list[Outcome] = []
-    for stage in run.chain:
-        begin = time.monotonic()
-        found = run_stage(run, stage, options)
-        outcomes += [o for o in found if not isinstance(o.error, LeftOut)]
-        log.info("%-9s %6.1f s", stage.name, time.monotonic() - begin)
-        if any(o.unit is None and o.error for o in found) or stage.name == until:
-            break
+    current = Run(run.folder, run.recipe)
+    try:
+        for stage in current.chain:
+            begin = time.monotonic()
+            found = _run_stage(current, stage, options)
+            outcomes += [o for o in found if not isinstance(o.error, LeftOut)]
+            log.info("%-9s %6.1f s", stage.name, time.monotonic() - begin)
+            if any(o.unit is None and o.error for o in found) or stage.name == until:
+                break
+            if any(o.state != "cached" for o in found):
+                current = Run(run.folder, run.recipe)
+    finally:
+        current.known.save()
     return outcomes
-
-
-def status(run: Run) -> list[dict[str, Any]]:
-    """One row per stage and unit: stage, unit, artifact, state, quality and the failure's message."""
-    rows = []
-    for stage in run.chain:
-        for unit in run.units(stage):
-            state = run.state(stage, unit)
-            rows.append(
-                {
-                    "stage": stage.name,
-                    "unit": unit,
-                    "artifact": str(run.path(stage.writes, unit)),
-                    "state": state,
-                    "quality": _quality(run, stage, unit) if state == "fresh" else "",
-                    "failure": (run.failure(stage, unit) if state == "failed" and unit else None) or "",
-                    "reason": run.why_stale(stage, unit) if state == "stale" else "",
-                }
-            )
-    return rows

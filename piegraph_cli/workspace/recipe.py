@@ -29,10 +29,13 @@ class Recipe:
 
     table: Table = field(repr=False)
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
+    _params: dict[str, Params] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def params(self, stage: Stage) -> Params:
         """The validated settings of a stage."""
-        return _validate(stage, self.sections.get(stage.name, {}), "recipe")
+        if stage.name not in self._params:
+            self._params[stage.name] = _validate(stage, self.sections.get(stage.name, {}), "recipe")
+        return self._params[stage.name]
 
     def with_values(self, stage: Stage, values: Mapping[str, Any], where: str, base: Path) -> "Recipe":
         """This recipe with some settings of a stage replaced; relative paths among them are taken from `base`.

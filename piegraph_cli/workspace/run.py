@@ -2,9 +2,10 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +14,41 @@ from filelock import FileLock
 from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params
-from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_header, read_key
+from piegraph_cli.workspace.artifact import Artifact, Header, read_artifact
+from piegraph_cli.workspace.known import Known, known_of
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
+
+_as_json = json.JSONEncoder(sort_keys=True).encode
+
+FROM_OTHERS = "what it was made from has changed"
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """The settings of one unit, what results depend on of them, and the files they name."""
+
+    params: Params
+    content: dict[str, Any]
+    files: dict[str, Path]
 
 
 @dataclass
 class Run:
-    """One run folder with the recipe in force. Keys are worked out once per object: make a new one after a change."""
+    """One run folder with the recipe in force.
+
+    Keys, states and failures are worked out once per object: make a new one after a change.
+    """
 
     folder: Path
     recipe: Recipe
     _keys: dict[tuple[str, Unit], str] = field(default_factory=dict)
+    _headers: dict[tuple[str, Unit], Header | None] = field(default_factory=dict)
+    _fresh: dict[tuple[str, Unit], bool] = field(default_factory=dict)
+    _failed: dict[tuple[str, Unit], str | None] = field(default_factory=dict)
+    _settings: dict[tuple[str, Unit], "_Settings"] = field(default_factory=dict)
     _units: dict[str, list[Unit]] = field(default_factory=dict)
+    _beside: dict[Path, "Run"] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy in another process works its keys out anew."""
@@ -41,6 +64,12 @@ class Run:
             recipe = load_recipe(path, table) if path.exists() else Recipe(table)
         return cls(folder, recipe)
 
+    def beside(self, folder: Path) -> "Run":
+        """Another run whose results this one uses, opened once."""
+        if folder not in self._beside:
+            self._beside[folder] = Run.open(folder, self.recipe.table)
+        return self._beside[folder]
+
     def save_recipe(self) -> None:
         """Keep the recipe in force in the run folder."""
         path = self.folder / "recipe.toml"
@@ -49,7 +78,20 @@ class Run:
 
     def path(self, artifact: str, unit: Unit) -> Path:
         """Where an artifact is."""
-        return self.folder / artifact / f"{unit}.h5" if unit else self.folder / f"{artifact}.h5"
+        return self.folder / _place(artifact, unit)
+
+    @cached_property
+    def known(self) -> Known:
+        """What is known of files from earlier reads."""
+        return known_of(self.folder)
+
+    def header(self, stage: Stage, unit: Unit) -> Header | None:
+        """What the stage's artifact says of itself; None where it is absent, damaged or of another schema."""
+        slot = (stage.name, unit)
+        if slot not in self._headers:
+            place = _place(stage.writes, unit)
+            self._headers[slot] = self.known.header(place, f"{self.folder}/{place}", stage.writes)
+        return self._headers[slot]
 
     def checkpoint(self, stage: Stage, unit: Unit) -> Path:
         """Where a long stage keeps its state until it is done."""
@@ -57,18 +99,30 @@ class Run:
 
     def lock(self, name: str) -> FileLock:
         """The lock that keeps two processes from making the same artifact."""
-        folder = self.folder / ".locks"
-        folder.mkdir(parents=True, exist_ok=True)
-        return FileLock(folder / f"{name.replace('/', '.')}.lock")
+        file = self.lock_file(name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        return FileLock(file)
+
+    def lock_file(self, name: str) -> Path:
+        """Where that lock is."""
+        return self.folder / ".locks" / f"{name.replace('/', '.')}.lock"
 
     @cached_property
     def chain(self) -> list[Stage]:
         """The stages of this run, in order."""
         return self.recipe.chain()
 
+    @cached_property
+    def _producers(self) -> dict[str, Stage]:
+        return {stage.writes: stage for stage in self.chain}
+
+    @cached_property
+    def _makers(self) -> dict[str, Stage]:
+        return {stage.writes: stage for stage in reversed(self.recipe.table.values())} | self._producers
+
     def producer(self, artifact: str) -> Stage | None:
         """The stage of this run's chain that writes an artifact, if one does."""
-        return next((stage for stage in self.chain if stage.writes == artifact), None)
+        return self._producers.get(artifact)
 
     def params(self, stage: str) -> Any:
         """The settings of a stage by name, whether it is in this run's chain or not."""
@@ -83,8 +137,7 @@ class Run:
 
     def maker(self, artifact: str) -> Stage:
         """The stage that writes an artifact here, or would if it were in the chain."""
-        writers = [stage for stage in self.recipe.table.values() if stage.writes == artifact]
-        return self.producer(artifact) or writers[0]
+        return self._makers[artifact]
 
     def made(self, artifact: str) -> list[str]:
         """The units that this run has an artifact of, or can make it of: those that failed are left out."""
@@ -93,7 +146,14 @@ class Run:
 
     def settings(self, stage: Stage, unit: Unit) -> Params:
         """The settings that one unit of a stage depends on."""
-        return stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
+        return self._settings_of(stage, unit).params
+
+    def _settings_of(self, stage: Stage, unit: Unit) -> "_Settings":
+        slot = (stage.name, unit if stage.settings else None)
+        if slot not in self._settings:
+            params = stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
+            self._settings[slot] = _Settings(params, params.content(), params.files())
+        return self._settings[slot]
 
     def inputs(self, stage: Stage, unit: Unit) -> Inputs:
         """What one unit of a stage reads, by artifact in the order of the stage's record."""
@@ -112,45 +172,48 @@ class Run:
         return self._keys[slot]
 
     def _work_out_key(self, stage: Stage, unit: Unit) -> str:
-        params = self.settings(stage, unit)
-        settings = params.content()
-        gone = [path for path in params.files().values() if not path.exists()]
-        if gone and (kept := self._kept_key(stage, unit, settings)):
+        of = self._settings_of(stage, unit)
+        if not all(path.exists() for path in of.files.values()) and (kept := self._kept_key(stage, unit, of.content)):
             return kept
-        for name, path in params.files().items():
-            settings[name] = content_hash(path / unit if path.is_dir() and unit else path, name)
-        for name, (path, artifact) in params.artifacts().items():
-            settings[name] = read_key(path, artifact)
+        settings = dict(of.content)
+        for name, path in of.files.items():
+            source = path / unit if path.is_dir() and unit else path
+            settings[name] = self.known.content(source, partial(content_hash, source, name))
+        for name, (path, artifact) in of.params.artifacts().items():
+            header = self.known.header(os.path.abspath(path), str(path), artifact)
+            settings[name] = header.key if header else None
         inputs = [[name, u, self.key(self.maker(name), u)] for name, u in self.files(stage, unit)]
-        text = json.dumps([stage.name, stage.version, None if stage.reads else unit, settings, inputs], sort_keys=True)
+        text = _as_json([stage.name, stage.version, None if stage.reads else unit, settings, inputs])
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _kept_key(self, stage: Stage, unit: Unit, settings: dict[str, Any]) -> str | None:
         """The key of an artifact whose source files are gone, if it was made with these settings: it stays usable."""
-        header = read_header(self.path(stage.writes, unit), stage.writes)
+        header = self.header(stage, unit)
         return header.key if header and (header.version, header.params) == (stage.version, settings) else None
 
     def why_stale(self, stage: Stage, unit: Unit) -> str:
         """What differs between a stale artifact and the one that would be made."""
-        path = self.path(stage.writes, unit)
-        header = read_header(path, stage.writes)
+        header = self.header(stage, unit)
         if header is None:
             try:
-                read_artifact(path, stage.writes)
+                read_artifact(self.path(stage.writes, unit), stage.writes)
             except DataError as error:
                 return error.message
             return "unreadable"
         if header.version != stage.version:
             return f"made by version {header.version} of the stage, this is version {stage.version}"
-        settings = self.settings(stage, unit).content()
+        settings = self._settings_of(stage, unit).content
         now, then = (values | values.get("settings", {}) | {"settings": None} for values in (settings, header.params))
         changed = [name for name, value in now.items() if then.get(name) != value]
-        return f"settings changed: {', '.join(changed)}" if changed else "what it was made from has changed"
+        return f"settings changed: {', '.join(changed)}" if changed else FROM_OTHERS
 
     def fresh(self, stage: Stage, unit: Unit) -> bool:
         """Whether the artifact is there and is what would be made."""
-        stored = read_key(self.path(stage.writes, unit), stage.writes)
-        return stored is not None and stored == self.key(stage, unit)
+        slot = (stage.name, unit)
+        if slot not in self._fresh:
+            header = self.header(stage, unit)
+            self._fresh[slot] = header is not None and header.key == self.key(stage, unit)
+        return self._fresh[slot]
 
     def read(self, artifact: str, unit: Unit = None) -> Artifact:
         """An artifact of this run. Raises `InputError` with the command that makes it where it is not fresh."""
@@ -175,10 +238,14 @@ class Run:
 
         What is fresh has not failed, whatever was tried since.
         """
-        record = self.failures.get(f"{stage.name}/{unit}")
-        if record and record["key"] == self.key(stage, unit) and not self.fresh(stage, unit):
-            return record["message"]
-        return self.failed_before(stage, unit)
+        if not self.failures:
+            return None
+        slot = (stage.name, unit)
+        if slot not in self._failed:
+            record = self.failures.get(f"{stage.name}/{unit}")
+            own = record and record["key"] == self.key(stage, unit) and not self.fresh(stage, unit)
+            self._failed[slot] = record["message"] if record and own else self.failed_before(stage, unit)
+        return self._failed[slot]
 
     def failed_before(self, stage: Stage, unit: Unit) -> str | None:
         """Why a stage that this one depends on failed on the unit of the same name, if one did."""
@@ -206,7 +273,12 @@ class Run:
             if kept != self.failures:
                 with atomic_file(self.folder / "failures.json") as temporary:
                     temporary.write_text(json.dumps(kept, indent=1))
-            self.failures = kept
+            self.failures, self._failed = kept, {}
+
+
+def _place(artifact: str, unit: Unit) -> str:
+    """Where an artifact is in a run folder."""
+    return f"{artifact}/{unit}.h5" if unit else f"{artifact}.h5"
 
 
 def content_hash(path: Path, setting: str) -> str:

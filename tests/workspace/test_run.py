@@ -13,9 +13,10 @@ from piegraph_cli.environments.params import EnvironmentName
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.workspace.artifact import read_artifact
-from piegraph_cli.workspace.execute import Options, run_stage, run_unit, status
+from piegraph_cli.workspace.execute import Options, run_stage, run_unit
 from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting, shipped
 from piegraph_cli.workspace.run import Run, content_hash
+from piegraph_cli.workspace.survey import status
 from tests.cli import piegraph
 from tests.stages.make_recording import make_recording
 

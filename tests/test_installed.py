@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from piegraph_cli import __version__
-from tests.cli import REPOSITORY, SAMPLE, piegraph
+from tests.cli import PROGRAM, REPOSITORY, SAMPLE
 
 
 @pytest.fixture
@@ -22,20 +22,28 @@ def site(tmp_path):
 
 
 def test_the_demo_without_its_sample_says_so_and_goes_on_with_it(site, tmp_path):
+    """In processes that import that package, and not this one."""
     before = sorted(site.rglob("*"))
-    options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": str(site), "PYTHONDONTWRITEBYTECODE": "1"}}
-    for command in (("run", "demo"), ("run", "--run", "runs/demo")):
-        done = piegraph(*command, check=3, **options)
-        assert f"{site}/piegraph_cli/sample_data/tblock: the sample recording is not part of the" in done.stderr
-        assert "--set ingest.recording=sample_data/tblock" in done.stderr
-        assert "Traceback" not in done.stderr
+    environment = os.environ | {"PYTHONPATH": str(site), "PYTHONDONTWRITEBYTECODE": "1"}
+
+    def program(*arguments: str, code: int) -> str:
+        command = [*PROGRAM, *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == code, done.stderr
+        return done.stdout + done.stderr
+
+    said = program("run", "demo", code=3)
+    assert f"{site}/piegraph_cli/sample_data/tblock: the sample recording is not part of the" in said
+    assert "--set ingest.recording=sample_data/tblock" in said
+    assert "Traceback" not in said
     assert sorted(site.rglob("*")) == before
+    assert not (tmp_path / "runs").exists()
     sample = tmp_path / "sample_data" / "tblock"
     shutil.copytree(SAMPLE / "sequence_0001", sample / "sequence_0001")
     shutil.copy(SAMPLE / "cameras.json", sample)
     given = ("--set", "ingest.recording=sample_data/tblock")
-    assert "done" in piegraph("run", "demo", "--until", "ingest", *given, **options).stdout
-    piegraph("status", "--run", "runs/demo", **options)
+    assert "done" in program("run", "demo", "--until", "ingest", *given, code=0)
+    program("status", "--run", "runs/demo", code=0)
 
 
 def test_the_program_runs_as_a_module(tmp_path):

@@ -71,6 +71,8 @@ def _opened(folder: Path, recipe: str | None, changes: list[str], until: str | N
     names = [stage.name for stage in run.recipe.chain()]
     if until is not None and until not in names:
         raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
+    for source in run.chain:  # a recording that is not there is said before a folder is made
+        _ = source.reads or run.units(source)
     return run, named
 
 

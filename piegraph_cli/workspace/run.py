@@ -118,7 +118,7 @@ class Run:
 
     @cached_property
     def _makers(self) -> dict[str, Stage]:
-        return {stage.writes: stage for stage in reversed(self.recipe.table.values())} | self._producers
+        return {stage.writes: stage for stage in reversed(list(self.recipe.table.values()))} | self._producers
 
     def producer(self, artifact: str) -> Stage | None:
         """The stage of this run's chain that writes an artifact, if one does."""

@@ -4,6 +4,7 @@ Each room keeps its settings in a `params.py` of its own: the source of CLI opti
 heavy is imported in any of them, so that `piegraph --help` answers at once. The core takes these models as they are.
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
@@ -24,10 +25,19 @@ def _check_box(box: tuple[float, ...]) -> tuple[float, ...]:
     return box
 
 
+def _check_yaw(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    if abs(pose[2]) > 2 * math.pi:
+        radians = math.radians(pose[2])
+        raise ValueError(
+            f"DYAW {pose[2]:g} is more than a whole turn: it is in radians, {pose[2]:g} degrees are {radians:.3f}"
+        )
+    return pose
+
+
 Mode = Literal["push", "pick"]
 """What a stroke does, as people write it; arrays hold its number."""
 PUSH, PICK = 0, 1
-Pose2 = Annotated[tuple[float, float, float], BeforeValidator(split_commas)]
+Pose2 = Annotated[tuple[float, float, float], BeforeValidator(split_commas), AfterValidator(_check_yaw)]
 Box = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(split_commas), AfterValidator(_check_box)
 ]

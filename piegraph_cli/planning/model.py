@@ -13,7 +13,10 @@ from piegraph_cli.params import validated
 from piegraph_cli.physics.tracking import choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.planner import Goal, move_in_plane
+from piegraph_cli.planning.planner import Goal, move_in_plane, thinned
+
+STATE_POINTS = 20_000
+"""A cloud of more is thinned to these before particles are chosen among them."""
 
 PARTICLES = 50
 """Of an object, for models that are not trained."""
@@ -64,14 +67,14 @@ class Model:
         motion of the object (DX, DY (m), DYAW (rad)). Settings are those of `piegraph plan`. No strokes where the goal is
         reached already. Raises `UsageError` for settings, and `DataError` for states and goals, that cannot be used.
         """
-        values = self.settings.model_dump() | {"model": self.label} | settings
+        values = self.settings.model_dump() | {"model": self.label, "goal_pose": goal_pose} | settings
         params = validated(PlanParams, values, "plan", "Model.plan", "piegraph plan --help")
         cloud = _points(state, "state")
         if len(cloud) < self.particles:
             raise DataError(
                 f"{len(cloud)} points, the model needs {self.particles} or more", "state", "give the whole cloud"
             )
-        seen = choose_particles(cloud, self.particles).astype(np.float32)
+        seen = choose_particles(thinned(cloud, STATE_POINTS), self.particles).astype(np.float32)
         if (goal is None) == (goal_pose is None):
             raise DataError("one goal is needed", "plan", "give goal or goal_pose")
         target = (

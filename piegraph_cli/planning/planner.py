@@ -16,6 +16,9 @@ from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, plan_strokes
 
+GOAL_POINTS = 2_000
+"""A goal cloud of more is thinned to these: what is planned does not depend on how densely a camera sees."""
+
 MakePlan = Callable[[torch.Tensor], Plan | None]
 """From particles now [N, 3] (m); None where no stroke is feasible."""
 
@@ -49,7 +52,7 @@ def make_planner(
     """
     check_inside(goal.points, params, "the goal")
     kind = params.cost if params.cost != "auto" else "distance" if goal.corresponds else "chamfer"
-    target = torch.as_tensor(goal.points)
+    target = torch.as_tensor(goal.points if goal.corresponds else thinned(goal.points, GOAL_POINTS))
     cost = make_cost(kind, target, len(state))
     needed = trained_label(params.model) is not None and params.planner != "greedy"
     modes = choose_modes(params, trained.modes if needed and trained else None, tool.modes)
@@ -134,6 +137,13 @@ def check_inside(points: np.ndarray, params: PlanParams, what: str) -> None:
             f"{what} lies around ({x:.2f}, {y:.2f}) m, outside plan.workspace",
             hint="points are metres in the world frame; correct them, or widen --workspace",
         )
+
+
+def thinned(points: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of the points [P, 3], at random but always the same, in their order."""
+    if len(points) <= most:
+        return points
+    return points[np.sort(np.random.default_rng(0).choice(len(points), most, replace=False))]
 
 
 def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:

@@ -4,6 +4,7 @@ A file that was cut off, or whose arrays contradict each other, is refused: half
 """
 
 import io
+import logging
 import math
 import zipfile
 from collections.abc import Callable, Mapping
@@ -14,6 +15,8 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.ply import AGAIN, HEADER_BYTES, read_ply
+
+log = logging.getLogger("piegraph")
 
 MAX_BYTES = 1 << 30
 """The largest file, and the most that all arrays of an .npz may unpack to."""
@@ -65,12 +68,12 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np
         points = np.asarray(frames[index], np.float32)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
         raise DataError(f"holds no finite points [P, 3] but an array {points.shape}", where, "give another file")
-    broken = int((~np.isfinite(points)).any(1).sum())
-    if broken:
-        raise DataError(
-            f"{broken} of {len(points)} points are not finite", where, "leave them out when the file is written"
-        )
-    return points
+    finite = np.isfinite(points).all(1)
+    if not finite.any():
+        raise DataError(f"none of its {len(points)} points is finite", where, "give another file")
+    if not finite.all():  # organised clouds have them where the camera saw nothing
+        log.warning("%s: %d of %d points are not finite: left out", where, (~finite).sum(), len(points))
+    return points[finite]
 
 
 def _size(path: Path) -> int:

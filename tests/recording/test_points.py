@@ -165,8 +165,8 @@ VERTEX = "element vertex 1\nproperty float x\nproperty float y\nproperty float z
         (HEAD + VERTEX + "end_header\n1 2\n5\n", "vertices cannot be read|more lines|numbers each"),
         (HEAD + VERTEX + "end_header\n1 2 3 4\n", "4 numbers each, 3 by its header"),
         (HEAD + VERTEX + "end_header\n1 2 three\n", "vertices cannot be read"),
-        (HEAD + VERTEX + "end_header\n1 2 nan\n", "1 of 1 points are not finite"),
-        (HEAD + VERTEX + "end_header\n1 2 1e300\n", "1 of 1 points are not finite"),
+        (HEAD + VERTEX + "end_header\n1 2 nan\n", "none of its 1 points is finite"),
+        (HEAD + VERTEX + "end_header\n1 2 1e300\n", "none of its 1 points is finite"),
         (HEAD + VERTEX + "end_header\n" + " " * 30 + "\n", "is cut off: its header says 1 of vertex, it has 0"),
         (HEAD + "element vertex 0\nend_header\n", "holds no finite points"),
     ],
@@ -181,11 +181,13 @@ def test_binary_lists_of_negative_length_are_refused(tmp_path):
     refused(stored(tmp_path, data), "list of face 0 has the length -1")
 
 
-def test_points_that_are_not_finite_are_counted(tmp_path):
+def test_points_that_are_not_finite_are_left_out_and_counted(tmp_path, caplog):
+    """As organised clouds have them, where the camera saw nothing."""
     points = POINTS.copy()
     points[3, 1], points[5] = np.nan, np.inf
-    error = refused(stored(tmp_path, ply("binary_little_endian", points)), "2 of 60 points are not finite")
-    assert "frame 0" in error.where
+    path = stored(tmp_path, ply("binary_little_endian", points))
+    np.testing.assert_array_equal(read_points(path, None, {}), np.delete(points, [3, 5], 0))
+    assert f"{path}, frame 0: 2 of 60 points are not finite: left out" in caplog.text
 
 
 def test_only_regular_files_of_bounded_size_are_read(tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ from piegraph_cli.physics.tracking import track
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
-from piegraph_cli.planning.search import plan_strokes
+from piegraph_cli.planning.search import Search
 from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.stages.simulate import make_environment
 from piegraph_cli.workspace.artifact import read_artifact
@@ -86,7 +86,7 @@ def _plan(state: Tensor, trained: Trained, params: PlanParams, cores: int) -> Ro
     predict, slow = make_predict(params.model, trained, state, params), _reference(trained, state, params)
 
     def plan(with_: Predict):
-        found = plan_strokes(state, with_, cost, space, params, torch.Generator().manual_seed(0))
+        found = Search(with_, cost, space, params, torch.Generator().manual_seed(0))(state)
         assert found is not None
         return found
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from piegraph_cli.bench.kernels import graph_of, random_object
-from piegraph_cli.bench.pipeline import _carried_sequences
+from piegraph_cli.bench.pipeline import carried_sequences
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict, recordable
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
@@ -102,7 +102,9 @@ def test_the_network_for_any_number_of_candidates_and_particles(batch, particles
     some = ends(batch)
     exact = Rest(known.positions.double(), known.neighbors)
     with torch.no_grad():
-        true = copy.deepcopy(network).double()(states[some].double(), strokes[some].to(torch.float64), exact.expand(len(some)))
+        true = copy.deepcopy(network).double()(
+            states[some].double(), strokes[some].to(torch.float64), exact.expand(len(some))
+        )
     assert float((found[some] - true).abs().max()) < 1e-5
     assert float((found[some] - NetworkKernel(network, known)(states[some], strokes[some])).abs().max()) < 1e-5
 
@@ -162,7 +164,7 @@ def test_what_is_recorded_is_what_runs_in_kernels():
 
 @pytest.mark.parametrize("name", sorted(LEARNED))
 def test_training_follows_the_curve_of_the_cpu(name):
-    data, losses = _carried_sequences(), {}
+    data, losses = carried_sequences(), {}
     steps = 200 if name == "piegraph" else 3
     params = LEARNED[name](steps=200)
     learner = MODELS[name].learner

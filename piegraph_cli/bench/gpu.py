@@ -1,4 +1,4 @@
-"""Benchmarks on a GPU, beside the same work on one core of the CPU."""
+"""Benchmarks on a GPU; plans and training steps beside the same on the CPU: all cores, and one thread of PyTorch."""
 
 import copy
 import functools
@@ -93,7 +93,7 @@ def network_rows() -> Iterator[Row]:
 
 
 def plan_rows() -> Iterator[Row]:
-    """Plans for the T-block, the loop around the models on the GPU too; beside the same on one core with the kernels."""
+    """Plans for the T-block, the loop around the models on the GPU too; beside the same on all cores."""
     state, trained = learned_block()
     for samples, iterations in ((100, 5), (500, 30)):
         for model, converged in (("piegraph", 0.0), ("piegraph-ng", 0.0), ("piegraph", 2e-4)):
@@ -118,7 +118,7 @@ def _search(state: Tensor, trained: Trained, params: PlanParams, device: str) ->
 
 
 def train_rows() -> Iterator[Row]:
-    """A training step of piegraph, beside one on one core."""
+    """A training step of piegraph, beside one on the CPU."""
     data = carried_sequences()
     for batch in (8, 32, 256):
         params = EGNNParams(batch=batch)

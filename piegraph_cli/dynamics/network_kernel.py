@@ -139,10 +139,10 @@ def _linear_on_gpu(
 
 
 @wp.func_native("""
-    return exp2f(x);
+    return __fdividef(s, 1.0f + exp2f(fminf(s, 120.0f)));
 """)
-def _power_of_two(x: float) -> float:
-    """On a GPU one instruction."""
+def _gate_on_gpu(s: float) -> float:
+    """`gate` below, in five instructions."""
 
 
 @functools.cache
@@ -154,7 +154,7 @@ def _gate(lanes: int) -> wp.Function:
         @wp.func
         def gate_on_gpu(s: vec) -> vec:
             """s / (1 + 2^s)."""
-            return vec(s[0] / (1.0 + _power_of_two(wp.min(s[0], 120.0))))
+            return vec(_gate_on_gpu(s[0]))
 
         return gate_on_gpu
 
@@ -231,7 +231,7 @@ def _tiles(lanes: int) -> tuple[wp.Function, wp.Function, wp.Function]:
 
 
 @functools.cache
-def _stroke(lanes: int, mirror: bool) -> tuple[type, wp.Function, wp.Function, wp.Function]:
+def _stroke(lanes: int, mirror: bool) -> tuple[type, wp.Function, wp.Function, wp.Function, wp.Function, wp.Function]:
     """A stroke as its own frame, and where that has a particle."""
     vec = vector(lanes)
     load, _ = accessors(lanes)
@@ -264,7 +264,7 @@ def _stroke(lanes: int, mirror: bool) -> tuple[type, wp.Function, wp.Function, w
         return (wp.cw_mul(dy, hx) - wp.cw_mul(dx, hy)) * SCALE
 
     @wp.func
-    def frame_of(strokes: wp.array3d(dtype=wp.float32), group: int, start: wp.array2d(dtype=vec)) -> Frame:
+    def frame_of(strokes: wp.array3d(dtype=wp.float32), group: int) -> Frame:
         ex = load(strokes, group, 0, 2)
         ey = load(strokes, group, 0, 3)
         hx = ex - load(strokes, group, 0, 0)
@@ -280,14 +280,24 @@ def _stroke(lanes: int, mirror: bool) -> tuple[type, wp.Function, wp.Function, w
         frame.length = length
         frame.mode = load(strokes, group, 0, 4)
         frame.side = one
-        if wp.static(mirror):
-            side = vec(0.0)
-            for i in range(start.shape[0]):
-                side += squash(beside(start[i, 0] - ex, start[i, 1] - ey, hx, hy))
-            frame.side = side * (1.0 / float(start.shape[0]))
         return frame
 
-    return Frame, squash, beside, frame_of
+    @wp.func
+    def side_of(i: int, start: wp.array2d(dtype=vec), sides: wp.array2d(dtype=vec), frame: Frame):
+        """On which side of the stroke particle i lies, in `sides`."""
+        if wp.static(mirror):
+            sides[i, 0] = squash(beside(start[i, 0] - frame.ex, start[i, 1] - frame.ey, frame.hx, frame.hy))
+
+    @wp.func
+    def mean_side(sides: wp.array2d(dtype=vec)) -> vec:
+        if wp.static(mirror):
+            side = vec(0.0)
+            for i in range(sides.shape[0]):
+                side += sides[i, 0]
+            return side * (1.0 / float(sides.shape[0]))
+        return one
+
+    return Frame, squash, beside, frame_of, side_of, mean_side
 
 
 @functools.cache
@@ -297,7 +307,7 @@ def _features(lanes: int, picks: bool, mirror: bool) -> tuple[wp.Function, wp.Fu
     load, _ = accessors(lanes)
     root, _, _ = roots(lanes)
     bias, linear, put = _tiles(lanes)
-    Frame, squash, beside, _ = _stroke(lanes, mirror)
+    Frame, squash, beside, _, _, _ = _stroke(lanes, mirror)
     zero = vec(0.0)
 
     @wp.func
@@ -533,7 +543,7 @@ def _head(lanes: int, mirror: bool) -> tuple[wp.Function, wp.Function, wp.Functi
     load, store = accessors(lanes)
     bias, linear, put = _tiles(lanes)
     gate = _gate(lanes)
-    Frame, squash, beside, _ = _stroke(lanes, mirror)
+    Frame, squash, beside, _, _, _ = _stroke(lanes, mirror)
     one = vec(1.0)
 
     @wp.func
@@ -584,7 +594,7 @@ def _kernel(lanes: int, picks: bool, mirror: bool) -> wp.Kernel:
     """Prediction on a CPU: a thread works on a group at a time, particle by particle."""
     load, _ = accessors(lanes)
     Scratch = _scratch_type(lanes)
-    _, _, _, frame_of = _stroke(lanes, mirror)
+    _, _, _, frame_of, side_of, mean_side = _stroke(lanes, mirror)
     middle, see, embed, centre = _features(lanes, picks, mirror)
     total, pool, mix_in, send = _pooling(lanes)
     measure, receive, follow = _messages(lanes)
@@ -609,7 +619,10 @@ def _kernel(lanes: int, picks: bool, mirror: bool) -> wp.Kernel:
             for axis in range(3):
                 start[i, axis] = load(scene.positions, group, scene.order[i], axis)
         cx, cy, cz = middle(start)
-        frame = frame_of(scene.strokes, group, start)
+        frame = frame_of(scene.strokes, group)
+        for i in range(particles):
+            side_of(i, start, following, frame)
+        frame.side = mean_side(following)
         for i in range(particles):
             see(i, group, start, row, frame, scene)
             for o in range(0, hidden, TILE):
@@ -653,7 +666,7 @@ def _kernel_blocks(picks: bool, mirror: bool) -> wp.Kernel:
     """Prediction on a GPU: a block works on a candidate at a time, its threads on particles and tiles of channels."""
     load, _ = accessors(1)
     Scratch = _scratch_type(1)
-    Frame, _, _, frame_of = _stroke(1, mirror)
+    Frame, _, _, frame_of, side_of, mean_side = _stroke(1, mirror)
     middle, see, embed, centre = _features(1, picks, mirror)
     hide_last, displace, deliver = _head(1, mirror)
     layers = _layer_blocks()
@@ -664,12 +677,14 @@ def _kernel_blocks(picks: bool, mirror: bool) -> wp.Kernel:
         start = scratch.start[slot]
         rows = scratch.rows[slot]
         particles, threads = scene.order.shape[0], wp.block_dim()
+        frame = frame_of(scene.strokes, candidate)
         for i in range(thread, particles, threads):
             for axis in range(3):
                 start[i, axis] = load(scene.positions, candidate, scene.order[i], axis)
+            side_of(i, start, scratch.following[slot], frame)
         barrier()
         cx, cy, cz = middle(start)
-        frame = frame_of(scene.strokes, candidate, start)
+        frame.side = mean_side(scratch.following[slot])
         for i in range(thread, particles, threads):
             see(i, candidate, start, rows[i], frame, scene)
         barrier()

@@ -102,7 +102,8 @@ def plan_rows() -> Iterator[Row]:
             costs = [found.cost for search in (here, there) if (found := search(state)) is not None]
             for _ in range(2):  # the second is recorded
                 there(state)
-            seconds, slow = seconds_of(lambda s=there: s(state)), median_seconds(lambda s=here: s(state), 3)
+            seconds = seconds_of(functools.partial(there, state))
+            slow = median_seconds(functools.partial(here, state), 3)
             name = f"{samples} x {iterations}, {'guided' if model == 'piegraph' else 'not guided'}"
             name += ", may end early" if converged else ""
             error = check("plan", abs(costs[0] - costs[1]), AS_GOOD)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import torch
 
@@ -107,9 +108,12 @@ class StrokeSpace:
         normal = torch.randn(count, 4, generator=generator, device=proposals.device)
         drawn = proposals.new_empty(count, NUMBERS)
         for k, mode in enumerate(self.modes):
-            here, own = (choice == k, proposals[:, 0] == mode) if self._mixed else (slice(None), slice(None))
-            if self._mixed and not here.any():
-                continue
+            here: Any = slice(None)
+            own: Any = slice(None)
+            if self._mixed:
+                here, own = choice == k, proposals[:, 0] == mode
+                if not here.any():
+                    continue
             values, weight = proposals[own, 1:].clone(), weights[own, None] / shares[k]
             if mode == PUSH:
                 leader = values[weight[:, 0].argmax()[None], 0]
@@ -129,8 +133,8 @@ class StrokeSpace:
         """Whether there is more than one mode. With one a GPU is never asked which candidates have it."""
         return len(self.modes) > 1
 
-    def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Strokes [B, 7] (m) on positions [B, N, 3] (m), and whether each is feasible [B].
+    def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[Strokes, torch.Tensor]:
+        """Strokes [B] on positions [B, N, 3] (m), and whether each is feasible [B].
 
         Infeasible: a push that passes by or grazes, see `DEPTH`, or an end outside the workspace.
         """

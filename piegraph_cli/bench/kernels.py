@@ -68,14 +68,24 @@ def graph_of(rest: np.ndarray, count: int) -> SpringGraph:
     return build_springs(rest, float(distance[count - 1]) + 1e-9)
 
 
-def _springs(batch: int, particles: int, count: int, cores: int = 1, reference: bool = False) -> Row:
+def spring_case(batch: int, particles: int, count: int) -> tuple[Tensor, Tensor, SpringGraph, GuidanceParams]:
+    """A random object in B scenes and where it shall go [B, N, 3] (m), its springs, and 200 iterations without an end."""
     rng = np.random.default_rng([batch, particles, count])
     rest = random_object(particles, rng)
     graph = graph_of(rest, count)
     params = GuidanceParams(stiffness=min(0.15, 0.5 * stability_bound(graph, 0.8, 0.03)), iterations=200, tolerance=0)
     state = torch.as_tensor(rest.astype(np.float32)).expand(batch, -1, -1)
     moved = rest + rng.normal(0, 0.02, (batch, 1, 3)) + rng.normal(0, 0.002, (batch, particles, 3))
-    setpoint = torch.as_tensor(moved.astype(np.float32))
+    return state, torch.as_tensor(moved.astype(np.float32)), graph, params
+
+
+def spring_flop(graph: SpringGraph, params: GuidanceParams) -> float:
+    """Operations of the guidance of one candidate."""
+    return params.iterations * (21.0 * len(graph.pairs) + 25.0 * graph.particles)
+
+
+def _springs(batch: int, particles: int, count: int, cores: int = 1, reference: bool = False) -> Row:
+    state, setpoint, graph, params = spring_case(batch, particles, count)
     few = slice(min(batch, CHECKED))
     true = guide(state[few].double(), setpoint[few].double(), graph, params)
     error = float((spring_kernel.guide(state[few], setpoint[few], graph, params) - true).abs().max())
@@ -83,7 +93,7 @@ def _springs(batch: int, particles: int, count: int, cores: int = 1, reference: 
         seconds = median_seconds(lambda: spring_kernel.guide(state, setpoint, graph, params))
     joined = len(graph.pairs)
     case = f"{batch} x {particles} x {joined} springs"
-    flop = batch * params.iterations * (21.0 * joined + 25.0 * particles)
+    flop = batch * spring_flop(graph, params)
     moved_bytes = 4.0 * batch * params.iterations * (9 * joined + 22 * particles)
     slow = median_seconds(lambda: _gather(state, setpoint, graph, params), 1) if reference else None
     share = flop / seconds / peak(cores)
@@ -118,7 +128,8 @@ def network_flop(particles: int, params: EGNNParams) -> float:
     return float(params.layers * layer + ends)
 
 
-def _network(batch: int, particles: int, cores: int = 1, reference: bool = False) -> Row:
+def network_case(batch: int, particles: int) -> tuple[EGNN, Rest, Tensor, Strokes]:
+    """A fresh network, a random object at rest, B states of it [B, N, 3] (m), and a stroke for each."""
     rng = np.random.default_rng([batch, particles])
     params = EGNNParams()
     torch.manual_seed(batch + particles)
@@ -126,8 +137,12 @@ def _network(batch: int, particles: int, cores: int = 1, reference: bool = False
     rest = random_object(particles, rng)
     state = torch.as_tensor((rest + rng.normal(0, 0.003, (batch, particles, 3))).astype(np.float32))
     strokes = random_strokes(batch, rng)
-    known = Rest.of(torch.as_tensor(rest[None].astype(np.float32)), params.neighbors)
+    return network, Rest.of(torch.as_tensor(rest[None].astype(np.float32)), params.neighbors), state, strokes
 
+
+def _network(batch: int, particles: int, cores: int = 1, reference: bool = False) -> Row:
+    params = EGNNParams()
+    network, known, state, strokes = network_case(batch, particles)
     kernel = NetworkKernel(network, known)
 
     def predict() -> Tensor:

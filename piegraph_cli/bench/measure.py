@@ -46,7 +46,8 @@ class Row:
     reference_seconds: float | None = None
     """The reference on the same input in the same run."""
     share: float | None = None
-    """Of the peak of the cores used."""
+    """Of the peak of the cores used, or of the GPU."""
+    device: str = "cpu"
 
     def as_dict(self) -> dict[str, Any]:
         """The row and what follows from it."""
@@ -67,10 +68,9 @@ def table(rows: list[Row]) -> list[str]:
         share = f"{row.share:.0%}" if row.share is not None else ""
         reference = _time(row.reference_seconds) if row.reference_seconds else ""
         ratio = f"{values['ratio']:.1f}x" if "ratio" in values else ""
-        name = f"{row.subject} {row.case}"
-        lines.append(
-            f"{name:44s}{row.cores:6d}{_time(row.seconds):>11s}{error:>11s}{rate:>9s}{share:>9s}{reference:>11s}{ratio:>8s}"
-        )
+        name, cores = f"{row.subject} {row.case}", row.cores if row.device == "cpu" else "GPU"
+        numbers = f"{error:>11s}{rate:>9s}{share:>9s}{reference:>11s}{ratio:>8s}"
+        lines.append(f"{name:44s}{cores:>6}{_time(row.seconds):>11s}{numbers}")
     return lines
 
 

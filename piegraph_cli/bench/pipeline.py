@@ -24,7 +24,7 @@ from piegraph_cli.physics.tracking import track
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
-from piegraph_cli.planning.search import plan_strokes
+from piegraph_cli.planning.search import Search
 from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.stages.simulate import make_environment
 from piegraph_cli.workspace.artifact import read_artifact
@@ -45,7 +45,7 @@ TRAINED = 200
 
 def plan_rows() -> Iterator[Row]:
     """Plans for the T-block, horizon 1, guided and not, beside the same search with the references in PyTorch."""
-    state, trained = _learned_block()
+    state, trained = learned_block()
     for samples, iterations in ((100, 5), (500, 30)):
         for model in ("piegraph", "piegraph-ng"):
             for cores in core_counts():
@@ -59,7 +59,7 @@ def plan_rows() -> Iterator[Row]:
     yield _plan(state, trained, default, core_counts()[-1])
 
 
-def _learned_block() -> tuple[Tensor, Trained]:
+def learned_block() -> tuple[Tensor, Trained]:
     environment = make_environment("tblock", 50, PlanParams())
     rest, _ = environment.reset(seed=0)
     rng, state = np.random.default_rng(0), rest
@@ -86,7 +86,7 @@ def _plan(state: Tensor, trained: Trained, params: PlanParams, cores: int) -> Ro
     predict, slow = make_predict(params.model, trained, state, params), _reference(trained, state, params)
 
     def plan(with_: Predict):
-        found = plan_strokes(state, with_, cost, space, params, torch.Generator().manual_seed(0))
+        found = Search(with_, cost, space, params, torch.Generator().manual_seed(0))(state)
         assert found is not None
         return found
 
@@ -137,27 +137,29 @@ def track_rows() -> Iterator[Row]:
 
 def train_rows() -> Iterator[Row]:
     """A training step of piegraph, by batch and threads, the backward pass counted as two forward ones; and of the others."""
-    data = _carried_sequences()
+    data = carried_sequences()
     for batch in (8, 32):
         for threads in core_counts():
             torch.set_num_threads(threads)
             params = EGNNParams(batch=batch)
-            seconds = median_seconds(_trainer("piegraph", data, params).step)
+            seconds = median_seconds(make_trainer("piegraph", data, params).step)
             torch.set_num_threads(1)
             yield Row("train", f"a step, batch {batch}", seconds, threads, flop=3 * batch * network_flop(50, params))
     for name, settings in LEARNED.items():
         if name != "piegraph":
-            seconds = median_seconds(_trainer(name, data, settings()).step, 5)
+            seconds = median_seconds(make_trainer(name, data, settings()).step, 5)
             yield Row("train", f"a step of {name}, batch {settings().batch}", seconds)
 
 
-def _trainer(name: str, data: Sequences, params: LearningParams) -> Trainer:
+def make_trainer(name: str, data: Sequences, params: LearningParams, device: str = "cpu") -> Trainer:
     learner = MODELS[name].learner
     assert learner is not None
-    return Trainer(make_network(name, params, False, 0), learner.examples(data, params, "cpu"), None, params, 0)
+    return Trainer(
+        make_network(name, params, False, 0), learner.examples(data, params, device), None, params, 0, device
+    )
 
 
-def _carried_sequences() -> Sequences:
+def carried_sequences() -> Sequences:
     """Strokes of eight frames that carry an object of 50 particles along."""
     rng = np.random.default_rng(0)
     rest = random_object(50, rng)

@@ -4,8 +4,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
+import torch
 from matplotlib.figure import Figure
 
+from piegraph_cli.bench import gpu
 from piegraph_cli.bench.kernels import network_rows, spring_rows
 from piegraph_cli.bench.measure import Row, cache_rate, machine_rows, peak
 from piegraph_cli.bench.pipeline import perception_rows, plan_rows, track_rows, train_rows
@@ -34,8 +36,13 @@ def run_benchmarks(subjects: list[str], run: Path | None) -> Iterator[Row]:
     if "perception" in subjects and run is None:
         raise UsageError("a run with hands, masks, clouds and tracks is needed", "bench perception", "--run RUN")
     yield from machine_rows()
+    has_gpu = torch.cuda.is_available()
+    if has_gpu:
+        yield from gpu.machine_rows()
     for subject in subjects or [name for name in known if name != "perception" or run is not None]:
         yield from known[subject]()
+        if has_gpu and subject in gpu.ROWS:
+            yield from gpu.ROWS[subject]()
 
 
 def check_picture(path: Path) -> None:
@@ -60,7 +67,11 @@ def draw_roofline(rows: list[Row]) -> Figure:
         f"copy in the first cache, {cache / 1e9:.0f} GB/s", (ends[0] * 1.1, cache * ends[0] * 0.7 / 1e9), fontsize=8
     )
     for subject, color, marker in (("sms", "#1f4e9c", "o"), ("egnn", "#d62728", "s")):
-        mine = [row for row in rows if row.subject == subject and row.flop and row.bytes and row.cores == 1]
+        mine = [
+            row
+            for row in rows
+            if row.subject == subject and row.flop and row.bytes and (row.device, row.cores) == ("cpu", 1)
+        ]
         x = [(row.flop or 0) / (row.bytes or 1) for row in mine]
         y = [(row.flop or 0) / row.seconds / 1e9 for row in mine]
         axes.scatter(x, y, s=22, color=color, marker=marker, label=subject, zorder=3)

@@ -168,7 +168,7 @@ def _windows(history: int) -> Callable[[Sequences, Any, str], Windows]:
 
 _SPRINGS = Learner(
     lambda params, picks: sms.SMS(params),
-    lambda data, params, device: sms.WholeStrokes(data, params.radius),
+    lambda data, params, device: sms.WholeStrokes(data, params.radius, device),
     lambda trained, rest: _springs_alone(trained.network, rest),  # type: ignore[arg-type]
 )
 _ACTION_NODES = Learner(
@@ -193,6 +193,14 @@ MODELS: dict[str, Model] = {
 """What they are, in words: `dynamics.params.MODEL_HELP`."""
 
 
+def recordable(name: str) -> bool:
+    """Whether a GPU can record the model's predictions: nothing in them waits for a result, or depends on values."""
+    name = split_label(name)[0]
+    owner = TRAINED_AS.get(name, name)
+    learner = MODELS[owner].learner if owner else None
+    return learner is not None and learner.predict is _in_kernel and MODELS[name].correction in (None, _guided)
+
+
 def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
     """The predict function of a model for one object, whose rest state [N, 3] (m) gives springs and neighbours.
 
@@ -204,11 +212,12 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     if name == "static":
         return lambda positions, strokes: positions
     if name == "sms-no":
-        move = _springs_alone(sms.SMS(SMSParams(tension_only=params.tension_only)), rest)
+        move = _springs_alone(sms.SMS(SMSParams(tension_only=params.tension_only)).to(rest.device), rest)
     else:
         learner = MODELS[str(TRAINED_AS.get(name, name))].learner
         assert learner is not None
         assert trained is not None
+        trained.network.to(rest.device)
         move = learner.predict(trained, rest)
     correct = model.correction(rest, params) if model.correction else None
 

@@ -73,13 +73,13 @@ class SMS(nn.Module):
 class WholeStrokes:
     """Training examples of a spring-mass system: a sequence each, all its strokes from their true starts."""
 
-    def __init__(self, data: Sequences, radius: float):
-        strokes = data.whole()
+    def __init__(self, data: Sequences, radius: float, device: str = "cpu"):
+        strokes = data.whole().to(device)
         self.sequences = []
         for index in np.unique(data.owner):
             first, last = data.strokes[data.owner == index].T
             graph = build_springs(data.rest[index], radius)
-            states = (torch.as_tensor(data.positions[rows]) for rows in (first, last))
+            states = (torch.as_tensor(data.positions[rows], device=device) for rows in (first, last))
             self.sequences.append((graph, strokes[torch.as_tensor(data.owner == index)], *states))
 
     def __len__(self) -> int:

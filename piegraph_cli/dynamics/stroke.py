@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.kernels.recorded import recording
 from piegraph_cli.params import PICK, PUSH
 
 MIN_STROKE = 1e-3
@@ -82,6 +83,10 @@ class Strokes:
         start = self.start.to(*place)
         return Strokes(start, self.end.to(*place), self.mode.to(start.device), self.held.to(start.device))
 
+    def clone(self) -> "Strokes":
+        """In memory of their own."""
+        return self._each(torch.clone)
+
     @property
     def planar(self) -> "Strokes":
         """As seen from above, without heights."""
@@ -123,6 +128,8 @@ class Strokes:
 
     def check(self) -> None:
         """Refuse strokes [B] that are not finite or too short to have a heading. Raises `DataError` naming the first."""
+        if recording():
+            return
         known = (self.end - self.start).abs().amax(-1) < torch.inf  # not so for NaN, which comparisons deny
         bad = ~(known & (self.length >= MIN_STROKE))
         if bad.any():

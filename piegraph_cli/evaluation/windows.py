@@ -12,18 +12,23 @@ from piegraph_cli.physics.springs import build_springs
 
 
 def window_metrics(
-    sequence: dict[str, Any], true: np.ndarray | None, trained: Trained | None, params: ModelEvaluateParams
+    sequence: dict[str, Any],
+    true: np.ndarray | None,
+    trained: Trained | None,
+    params: ModelEvaluateParams,
+    device: str = "cpu",
 ):
     """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
 
-    `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2]; `true` [F, N, 3] (m) or None.
+    `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2]; `true` [F, N, 3] (m) or None. The model
+    predicts on `device`.
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest = torch.as_tensor(sequence["rest"], dtype=torch.float32)
-    strokes = sequence["strokes"].to(torch.float32)
+    rest = torch.as_tensor(sequence["rest"], dtype=torch.float32, device=device)
+    strokes = sequence["strokes"].to(device, torch.float32)
     predict = make_predict(params.label, trained, rest, params)
-    positions = torch.as_tensor(sequence["before"])
+    positions = torch.as_tensor(sequence["before"], device=device)
     for horizon in range(1, min(max(params.horizons), count) + 1):
         windows = count - horizon + 1
         positions = predict(positions[:windows], strokes[horizon - 1 :])
@@ -31,7 +36,7 @@ def window_metrics(
             continue
         for window in range(windows):
             last = window + horizon - 1
-            found, target = positions[window].numpy(), sequence["after"][last]
+            found, target = positions[window].cpu().numpy(), sequence["after"][last]
             metrics = [
                 chamfer_distance(found, target),
                 shape_error(found, target, edges),

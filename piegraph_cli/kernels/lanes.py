@@ -1,8 +1,9 @@
 """What the kernels share: Warp set up quietly, vectors with one candidate per lane, and launches on all cores.
 
-A kernel's thread works on a group of candidates, one in each lane of a vector, so that every operation of the CPU serves
-a full register; on a GPU a group is one candidate. Arrays of candidates stay [B, ...] outside: a thread gathers its
-group when it begins and scatters it when it ends.
+On a CPU a thread works on a group of candidates, one in each lane of a vector, so that every operation serves a full
+register. On a GPU a vector has one lane, and the threads of a block share the particles of one candidate. The formulas
+are the same functions for both; what differs is the kernel that calls them. Arrays of candidates stay [B, ...] outside:
+a kernel gathers a group when it begins with it and scatters it when it ends.
 """
 
 import atexit
@@ -44,7 +45,21 @@ KERNEL = {
     "enable_backward": False,
     "module_options": {"max_unroll": 0, "cpu_compiler_flags": f"{WIDE} {FLAGS}"},
 }
-"""Options of every kernel: a module each, so that only those in use are compiled."""
+"""Options of every kernel of a CPU: a module each, so that only those in use are compiled."""
+
+BLOCK_KERNEL: dict[str, Any] = {
+    "module": "unique",
+    "enable_backward": False,
+    "module_options": {"fast_math": True},
+    "launch_bounds": (512, 2),
+}
+"""Those of a GPU: quotients and roots as it estimates them, and registers for two of the largest blocks."""
+
+BLOCKS = 16
+"""Candidates that each multiprocessor of a GPU has scratch memory for: as many as it can hold, in blocks of two warps."""
+
+MOST_THREADS = 512
+"""Of a GPU's block, so that its registers suffice."""
 
 
 @functools.cache
@@ -99,11 +114,20 @@ def _load(kernel: wp.Kernel) -> None:
 
 @dataclass(frozen=True)
 class Launch:
-    """How a batch of candidates is spread over a device, and the scratch memory that it needs there."""
+    """How a batch of candidates is spread over a device, and the scratch memory that it needs there.
+
+    A CPU's kernels take (first group, slot, *arguments), a launch per core with one thread, which works through groups
+    of candidates. A GPU's take the arguments alone: a block of threads works on one candidate at a time.
+    """
 
     batch: int
     device: torch.device
     cpu_lanes: int
+    items: int = 1
+    """Things within a candidate, such as particles, that the threads of a block share out."""
+
+    def __post_init__(self):
+        start_warp()
 
     @property
     def lanes(self) -> int:
@@ -112,40 +136,80 @@ class Launch:
 
     @property
     def groups(self) -> int:
-        """Threads of the kernel."""
+        """Groups in the batch."""
         return -(-self.batch // self.lanes)
 
     @property
     def slots(self) -> int:
-        """Groups worked on at a time, each with scratch memory of its own: one per core of a CPU, all on a GPU."""
-        return min(cores(), self.groups) if self.device.type == "cpu" else self.groups
+        """Groups worked on at a time, each with scratch memory of its own: one per core, or blocks to fill a GPU."""
+        at_a_time = cores() if self.device.type == "cpu" else BLOCKS * _multiprocessors(self.device)
+        return min(at_a_time, self.groups)
+
+    @property
+    def threads(self) -> int:
+        """Threads of a GPU's block: whole warps, as few as do the items in the same number of rounds.
+
+        Few blocks are as large as they may be, to be done soon; many are smaller, so that one works while another waits.
+        """
+        few = self.groups <= 2 * _multiprocessors(self.device)
+        rounds = -(-self.items // (MOST_THREADS if few else MOST_THREADS // 2))
+        return -(-self.items // (32 * rounds)) * 32
 
     def scratch(self, *shape: int) -> wp.array:
-        """Vectors [slots, *shape], not initialised; those of neighbouring slots lie side by side on a GPU."""
+        """Vectors [slots, *shape], not initialised; on a GPU neighbours along the first axis of `shape` lie side by side.
+
+        There the memory is PyTorch's, which knows in which stream it is used: Warp's would be given to others meanwhile.
+        """
         kind = vector(self.lanes)
         if self.device.type == "cpu":
             return wp.empty((self.slots, *shape), dtype=kind, device="cpu")
-        return wp.empty((*shape, self.slots), dtype=kind, device=str(self.device)).transpose(
-            (len(shape), *range(len(shape)))
-        )
+        memory = torch.empty((self.slots, *reversed(shape), 1), device=self.device)
+        axes = (0, *range(len(shape), 0, -1), len(shape) + 1)
+        return wp.from_torch(memory.permute(axes), dtype=kind)
 
     def run(self, kernel: wp.Kernel, arguments: Sequence[Any]) -> None:
-        """Run `kernel(first group, first slot, slots per group, *arguments)` over all groups."""
+        """Run the kernel over all groups."""
         device = wp.get_device(str(self.device))
         if device.is_cuda:
             stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
-            wp.launch(kernel, self.groups, [0, 0, 1, *arguments], device=device, stream=stream)
+            size = (self.slots, self.threads)
+            wp.launch(kernel, size, list(arguments), device=device, stream=stream, block_dim=self.threads)
             return
         _load(kernel)
         edges = [w * self.groups // self.slots for w in range(self.slots + 1)]
         commands = [  # the work of Python is done first: threads that wait for each other there lose milliseconds
-            wp.launch(kernel, edges[w + 1] - edges[w], [edges[w], w, 0, *arguments], device=device, record_cmd=True)
+            wp.launch(kernel, edges[w + 1] - edges[w], [edges[w], w, *arguments], device=device, record_cmd=True)
             for w in range(self.slots)
         ]
         if self.slots == 1:
             commands[0].launch()
         else:
             list(_workers().map(wp.Launch.launch, commands))
+
+
+@functools.cache
+def _multiprocessors(device: torch.device) -> int:
+    return torch.cuda.get_device_properties(device).multi_processor_count
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def barrier():
+    """Wait for all threads of the block."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(mine);
+#else
+    return mine;
+#endif
+""")
+def any_thread(mine: int) -> int:
+    """Whether `mine` is not zero in any thread of the block, which all wait for each other."""
 
 
 @functools.cache
@@ -177,6 +241,35 @@ def accessors(lanes: int) -> tuple[Any, Any]:
                 a[group * lanes + k, row, column] = value[k]
 
     return load, store
+
+
+@functools.cache
+def roots(lanes: int) -> tuple[Any, Any, Any]:
+    """Kernel functions that a vector has no operator for: its root, one over it, and the quotient of two."""
+    vec = vector(lanes)
+
+    @wp.func
+    def root(a: vec) -> vec:
+        r = vec()
+        for k in range(lanes):
+            r[k] = wp.sqrt(a[k])
+        return r
+
+    @wp.func
+    def inverse_root(a: vec) -> vec:
+        r = vec()
+        for k in range(lanes):
+            r[k] = 1.0 / wp.sqrt(a[k])
+        return r
+
+    @wp.func
+    def quotient(a: vec, b: vec) -> vec:
+        r = vec()
+        for k in range(lanes):
+            r[k] = a[k] / b[k]
+        return r
+
+    return root, inverse_root, quotient
 
 
 def bandwidth_order(pairs: np.ndarray, particles: int) -> np.ndarray:

@@ -19,8 +19,7 @@ def multiply_add(width: int) -> wp.Kernel:
     vec = vector(width)
 
     @wp.kernel(**OPTIONS)
-    def loop(first_group: int, first_slot: int, apart: int, values: wp.array2d(dtype=vec), steps: int):
-        slot = first_slot + wp.tid() * apart
+    def loop(first_group: int, slot: int, values: wp.array2d(dtype=vec), steps: int):
         factor = values[slot, 0]
         more = values[slot, 1]
         a = values[slot, 0]
@@ -64,10 +63,7 @@ def copy_back_and_forth(width: int) -> wp.Kernel:
     vec = vector(width)
 
     @wp.kernel(**OPTIONS)
-    def loop(
-        first_group: int, first_slot: int, apart: int, a: wp.array2d(dtype=vec), b: wp.array2d(dtype=vec), steps: int
-    ):
-        slot = first_slot + wp.tid() * apart
+    def loop(first_group: int, slot: int, a: wp.array2d(dtype=vec), b: wp.array2d(dtype=vec), steps: int):
         for _ in range(steps):
             for i in range(a.shape[1]):
                 b[slot, i] = a[slot, i]

@@ -13,7 +13,19 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from piegraph_cli.kernels.lanes import KERNEL, Launch, accessors, bandwidth_order, start_warp, vector
+from piegraph_cli.kernels.lanes import (
+    BLOCK_KERNEL,
+    KERNEL,
+    Launch,
+    accessors,
+    any_thread,
+    bandwidth_order,
+    barrier,
+    roots,
+    start_warp,
+    vector,
+)
+from piegraph_cli.kernels.recorded import recording
 from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import (
     CHECK_EVERY,
@@ -27,22 +39,67 @@ from piegraph_cli.physics.springs import SpringGraph
 LANES = 32
 """Candidates in a group on a CPU. Measured: 16 take half as long again, 64 a tenth longer, since less fits the cache."""
 
+PARTS = wp.constant(2)
+"""Threads of a GPU that share the springs of a particle. Measured: see docs/performance.md."""
+
 TINY = wp.constant(SHORTEST)
 EVERY = wp.constant(CHECK_EVERY)
 
 
 @wp.struct
 class Springs:
-    """A graph as the kernels read it: each spring belongs to the earlier of its particles."""
+    """A graph as the kernels read it: on a CPU each spring belongs to the earlier of its particles, on a GPU to both."""
 
     order: wp.array(dtype=wp.int32)
     """[N] the particle that comes at each place."""
     first: wp.array(dtype=wp.int32)
     """[N + 1] where the springs of each begin."""
     second: wp.array(dtype=wp.int32)
-    """[S] the later particle of each spring."""
+    """[S] the other particle of each spring."""
     rest: wp.array(dtype=wp.float32)
     """[S] metres."""
+
+
+@wp.struct
+class Numbers:
+    """`GuidanceParams` and `PushParams` as the kernels read them."""
+
+    stiffness: wp.float32
+    damping: wp.float32
+    friction: wp.float32
+    gain: wp.float32
+    integral: wp.float32
+    integral_limit: wp.float32
+    derivative: wp.float32
+    gravity: wp.float32
+    iterations: wp.int32
+    tolerance: wp.float32
+
+
+@wp.struct
+class Scene:
+    """What is asked of all candidates, and what becomes of them: arrays [B, N, ...]."""
+
+    positions: wp.array3d(dtype=wp.float32)
+    """[B, N, 3] metres."""
+    setpoint: wp.array3d(dtype=wp.float32)
+    """[B, N, 3] metres."""
+    weights: wp.array3d(dtype=wp.float32)
+    """[B, N, 1] factors on the gain; of a push, whether a hand holds the particle."""
+    velocity: wp.array3d(dtype=wp.float32)
+    """[B, N, 3] metres per iteration, in the beginning and then in the end."""
+    out: wp.array3d(dtype=wp.float32)
+    """[B, N, 3] metres."""
+
+
+@wp.struct
+class Stroke:
+    """What pushes the candidates."""
+
+    path: wp.array3d(dtype=wp.float32)
+    """[B, T, 2] metres."""
+    discs: wp.array3d(dtype=wp.float32)
+    """[B, 1, 1] radius, metres: none where a hand holds particles."""
 
 
 @dataclass(frozen=True)
@@ -56,37 +113,71 @@ class _Terms:
     held: bool = False
 
 
-@dataclass(frozen=True)
-class _Kernels:
-    guide: wp.Kernel
-    push: wp.Kernel
+@functools.cache
+def _bodies(lanes: int) -> tuple[type, type]:
+    """The state of a group's particles, each array [N, ...], and the scratch memory for it in every slot."""
+    vec = vector(lanes)
+
+    @wp.struct
+    class Body:
+        x: wp.array2d(dtype=vec)
+        v: wp.array2d(dtype=vec)
+        force: wp.array2d(dtype=vec)
+        target: wp.array2d(dtype=vec)
+        """The setpoint and the weight; of a push whether a hand holds the particle."""
+        summed: wp.array2d(dtype=vec)
+
+    @wp.struct
+    class Bodies:
+        x: wp.array3d(dtype=vec)
+        v: wp.array3d(dtype=vec)
+        force: wp.array3d(dtype=vec)
+        target: wp.array3d(dtype=vec)
+        summed: wp.array3d(dtype=vec)
+
+    return Body, Bodies
 
 
 @functools.cache
-def _kernels(lanes: int, terms: _Terms) -> _Kernels:
-    """The kernels for groups of `lanes` candidates. Each particle's springs are those to later particles."""
-    friction_acts, tension_only = terms.friction, terms.tension_only
-    integral_acts, derivative_acts, held_acts = terms.integral, terms.derivative, terms.held
+def _body_at(lanes: int) -> wp.Function:
+    Body, Bodies = _bodies(lanes)
+
+    @wp.func
+    def body_at(bodies: Bodies, slot: int) -> Body:
+        body = Body()
+        body.x = bodies.x[slot]
+        body.v = bodies.v[slot]
+        body.force = bodies.force[slot]
+        body.target = bodies.target[slot]
+        body.summed = bodies.summed[slot]
+        return body
+
+    return body_at
+
+
+@functools.cache
+def _forces(lanes: int, tension_only: bool) -> tuple[wp.Function, wp.Function, wp.Function]:
+    """The sum of all spring forces on a particle: for one thread that goes through them in order; and for many,
+    of which some share a particle."""
     vec = vector(lanes)
-    load, store = accessors(lanes)
+    _, inverse_root, _ = roots(lanes)
+    Body, _ = _bodies(lanes)
     zero, tiny2 = vec(0.0), vec(SHORTEST * SHORTEST)
 
     @wp.func
-    def inverse_root(a: vec) -> vec:
-        r = vec()
-        for k in range(lanes):
-            r[k] = 1.0 / wp.sqrt(a[k])
-        return r
+    def pull(dx: vec, dy: vec, dz: vec, rest: float, stiffness: float):
+        """k (l - r) / l times the way to the other end."""
+        square = wp.cw_mul(dx, dx) + wp.cw_mul(dy, dy) + wp.cw_mul(dz, dz)
+        strain = vec(stiffness) - inverse_root(wp.max(square, tiny2)) * (stiffness * rest)
+        if wp.static(tension_only):
+            strain = wp.max(strain, zero)
+        return wp.cw_mul(strain, dx), wp.cw_mul(strain, dy), wp.cw_mul(strain, dz)
 
     @wp.func
-    def springs(
-        i: int,
-        x: wp.array2d(dtype=vec),
-        force: wp.array2d(dtype=vec),
-        graph: Springs,
-        stiffness: float,
-    ):
-        """The sum of all spring forces on particle i; later particles get their share, that of i is set back to zero."""
+    def springs_in_turn(i: int, body: Body, graph: Springs, stiffness: float):
+        """Later particles get their share of the springs that are i's; what earlier ones left to i is set back to zero."""
+        x = body.x
+        force = body.force
         xi = x[i, 0]
         yi = x[i, 1]
         zi = x[i, 2]
@@ -95,14 +186,7 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         fz = force[i, 2]
         for s in range(graph.first[i], graph.first[i + 1]):
             j = graph.second[s]
-            dx = x[j, 0] - xi
-            dy = x[j, 1] - yi
-            dz = x[j, 2] - zi
-            square = wp.cw_mul(dx, dx) + wp.cw_mul(dy, dy) + wp.cw_mul(dz, dz)
-            strain = vec(stiffness) - inverse_root(wp.max(square, tiny2)) * (stiffness * graph.rest[s])
-            if wp.static(tension_only):
-                strain = wp.max(strain, zero)
-            px, py, pz = wp.cw_mul(strain, dx), wp.cw_mul(strain, dy), wp.cw_mul(strain, dz)
+            px, py, pz = pull(x[j, 0] - xi, x[j, 1] - yi, x[j, 2] - zi, graph.rest[s], stiffness)
             fx += px
             fy += py
             fz += pz
@@ -115,6 +199,89 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         return fx, fy, fz
 
     @wp.func
+    def springs_apart(item: int, body: Body, graph: Springs, stiffness: float):
+        """A part of a particle's springs. Leaves the sum in `force`, since others still read the positions."""
+        i, part = item / PARTS, item % PARTS
+        x = body.x
+        xi = x[i, 0]
+        yi = x[i, 1]
+        zi = x[i, 2]
+        fx = vec(0.0)
+        fy = vec(0.0)
+        fz = vec(0.0)
+        for s in range(graph.first[i] + part, graph.first[i + 1], PARTS):
+            j = graph.second[s]
+            px, py, pz = pull(x[j, 0] - xi, x[j, 1] - yi, x[j, 2] - zi, graph.rest[s], stiffness)
+            fx += px
+            fy += py
+            fz += pz
+        row = i + part * graph.order.shape[0]
+        body.force[row, 0] = fx
+        body.force[row, 1] = fy
+        body.force[row, 2] = fz
+
+    @wp.func
+    def sum_of_parts(i: int, body: Body, particles: int):
+        force = body.force
+        fx = force[i, 0]
+        fy = force[i, 1]
+        fz = force[i, 2]
+        for part in range(1, PARTS):
+            fx += force[i + part * particles, 0]
+            fy += force[i + part * particles, 1]
+            fz += force[i + part * particles, 2]
+        return fx, fy, fz
+
+    return springs_in_turn, springs_apart, sum_of_parts
+
+
+@functools.cache
+def _controller(lanes: int, integral: bool, derivative: bool) -> wp.Function:
+    vec = vector(lanes)
+    _, inverse_root, _ = roots(lanes)
+    Body, _ = _bodies(lanes)
+    tiny2 = vec(SHORTEST * SHORTEST)
+
+    @wp.func
+    def controlled(i: int, fx: vec, fy: vec, fz: vec, body: Body, numbers: Numbers):
+        """The force on particle i with that of the controller, which draws it to its setpoint."""
+        target = body.target
+        w = target[i, 3]
+        ex = target[i, 0] - body.x[i, 0]
+        ey = target[i, 1] - body.x[i, 1]
+        ez = target[i, 2] - body.x[i, 2]
+        gx = fx + wp.cw_mul(w, ex) * numbers.gain
+        gy = fy + wp.cw_mul(w, ey) * numbers.gain
+        gz = fz + wp.cw_mul(w, ez) * numbers.gain
+        if wp.static(integral):
+            summed = body.summed
+            sx = summed[i, 0] + ex
+            sy = summed[i, 1] + ey
+            sz = summed[i, 2] + ez
+            square = wp.cw_mul(sx, sx) + wp.cw_mul(sy, sy) + wp.cw_mul(sz, sz)
+            share = wp.min(inverse_root(wp.max(square, tiny2)) * numbers.integral_limit, vec(1.0))
+            sx, sy, sz = wp.cw_mul(sx, share), wp.cw_mul(sy, share), wp.cw_mul(sz, share)
+            summed[i, 0] = sx
+            summed[i, 1] = sy
+            summed[i, 2] = sz
+            gx += wp.cw_mul(w, sx) * numbers.integral
+            gy += wp.cw_mul(w, sy) * numbers.integral
+            gz += wp.cw_mul(w, sz) * numbers.integral
+        if wp.static(derivative):
+            gx -= wp.cw_mul(w, body.v[i, 0]) * numbers.derivative
+            gy -= wp.cw_mul(w, body.v[i, 1]) * numbers.derivative
+            gz -= wp.cw_mul(w, body.v[i, 2]) * numbers.derivative
+        return gx, gy, gz
+
+    return controlled
+
+
+@functools.cache
+def _table(lanes: int, friction_acts: bool) -> wp.Function:
+    vec = vector(lanes)
+    zero = vec(0.0)
+
+    @wp.func
     def sliding(vx: vec, vy: vec, lift: vec, friction: float) -> vec:
         """What Coulomb friction leaves of a planar velocity where the table lifts a particle by `lift` (m)."""
         r = vec()
@@ -124,194 +291,297 @@ def _kernels(lanes: int, terms: _Terms) -> _Kernels:
         return r
 
     @wp.func
-    def fastest(a: vec) -> float:
+    def on_table(z: vec, vx: vec, vy: vec, vz: vec, friction: float):
+        """The velocity with which a particle at height z ends above the table, and is braked there."""
+        lift = wp.max(z + vz, zero) - (z + vz)
+        if wp.static(friction_acts):
+            kept = sliding(vx, vy, lift, friction)
+            return wp.cw_mul(vx, kept), wp.cw_mul(vy, kept), vz + lift
+        return vx, vy, vz + lift
+
+    return on_table
+
+
+@functools.cache
+def _guided(lanes: int, terms: _Terms) -> tuple[wp.Function, wp.Function, wp.Function]:
+    """What guidance does with a particle: take it in, move it for one iteration, give it back."""
+    vec = vector(lanes)
+    load, store = accessors(lanes)
+    Body, _ = _bodies(lanes)
+    controlled = _controller(lanes, terms.integral, terms.derivative)
+    on_table = _table(lanes, terms.friction)
+    zero = vec(0.0)
+
+    @wp.func
+    def take(i: int, group: int, body: Body, scene: Scene, order: wp.array(dtype=wp.int32)):
+        for c in range(3):
+            body.x[i, c] = load(scene.positions, group, order[i], c)
+            body.v[i, c] = load(scene.velocity, group, order[i], c)
+            body.target[i, c] = load(scene.setpoint, group, order[i], c)
+            body.force[i, c] = zero
+            body.summed[i, c] = zero
+        body.target[i, 3] = load(scene.weights, group, order[i], 0)
+
+    @wp.func
+    def advance(i: int, fx: vec, fy: vec, fz: vec, body: Body, numbers: Numbers, looks: bool, largest: vec) -> vec:
+        """One iteration under the springs' force; the largest squared speed, of those before and after, if it `looks`."""
+        x = body.x
+        v = body.v
+        fastest = largest
+        if looks:
+            fastest = wp.max(fastest, squared(v[i, 0], v[i, 1], v[i, 2]))
+        gx, gy, gz = controlled(i, fx, fy, fz, body, numbers)
+        vx = (v[i, 0] + gx) * numbers.damping
+        vy = (v[i, 1] + gy) * numbers.damping
+        vz = (v[i, 2] + gz) * numbers.damping
+        vx, vy, vz = on_table(x[i, 2], vx, vy, vz, numbers.friction)
+        x[i, 0] = x[i, 0] + vx
+        x[i, 1] = x[i, 1] + vy
+        x[i, 2] = x[i, 2] + vz
+        v[i, 0] = vx
+        v[i, 1] = vy
+        v[i, 2] = vz
+        if looks:
+            fastest = wp.max(fastest, squared(vx, vy, vz))
+        return fastest
+
+    @wp.func
+    def squared(x: vec, y: vec, z: vec) -> vec:
+        return wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+
+    @wp.func
+    def give(i: int, group: int, body: Body, scene: Scene, order: wp.array(dtype=wp.int32)):
+        for c in range(3):
+            store(scene.out, group, order[i], c, body.x[i, c])
+            store(scene.velocity, group, order[i], c, body.v[i, c])
+
+    return take, advance, give
+
+
+@functools.cache
+def _guide_kernel(lanes: int, terms: _Terms) -> wp.Kernel:
+    """Guidance on a CPU: a thread works on a group at a time, particle by particle."""
+    vec = vector(lanes)
+    _, Bodies = _bodies(lanes)
+    body_at = _body_at(lanes)
+    springs, _, _ = _forces(lanes, terms.tension_only)
+    take, advance, give = _guided(lanes, terms)
+
+    @wp.func
+    def highest(a: vec) -> float:
         r = a[0]
         for k in range(1, lanes):
             r = wp.max(r, a[k])
         return r
 
     @wp.kernel(**KERNEL)
-    def guide(
-        first_group: int,
-        first_slot: int,
-        apart: int,
-        positions: wp.array3d(dtype=wp.float32),
-        setpoint: wp.array3d(dtype=wp.float32),
-        weights: wp.array3d(dtype=wp.float32),
-        velocity: wp.array3d(dtype=wp.float32),
-        out: wp.array3d(dtype=wp.float32),
-        graph: Springs,
-        states: wp.array3d(dtype=vec),
-        velocities: wp.array3d(dtype=vec),
-        forces: wp.array3d(dtype=vec),
-        targets: wp.array3d(dtype=vec),
-        sums: wp.array3d(dtype=vec),
-        stiffness: float,
-        damping: float,
-        gain: float,
-        integral: float,
-        integral_limit: float,
-        derivative: float,
-        friction: float,
-        iterations: int,
-        tolerance: float,
-    ):
+    def guide(first_group: int, slot: int, scene: Scene, graph: Springs, bodies: Bodies, numbers: Numbers):
         group = first_group + wp.tid()
-        slot = first_slot + wp.tid() * apart
-        x = states[slot]
-        v = velocities[slot]
-        force = forces[slot]
-        target = targets[slot]
-        summed = sums[slot]
+        body = body_at(bodies, slot)
         particles = graph.order.shape[0]
         for i in range(particles):
-            for c in range(3):
-                x[i, c] = load(positions, group, graph.order[i], c)
-                v[i, c] = load(velocity, group, graph.order[i], c)
-                target[i, c] = load(setpoint, group, graph.order[i], c)
-                force[i, c] = zero
-                summed[i, c] = zero
-            target[i, 3] = load(weights, group, graph.order[i], 0)
-        for iteration in range(1, iterations + 1):
+            take(i, group, body, scene, graph.order)
+        for iteration in range(1, numbers.iterations + 1):
             looks = iteration % EVERY == 0
-            largest = zero
+            largest = vec(0.0)
             for i in range(particles):
-                fx, fy, fz = springs(i, x, force, graph, stiffness)
-                vx = v[i, 0]
-                vy = v[i, 1]
-                vz = v[i, 2]
-                if looks:
-                    largest = wp.max(largest, wp.cw_mul(vx, vx) + wp.cw_mul(vy, vy) + wp.cw_mul(vz, vz))
-                w = target[i, 3]
-                ex = target[i, 0] - x[i, 0]
-                ey = target[i, 1] - x[i, 1]
-                ez = target[i, 2] - x[i, 2]
-                fx += wp.cw_mul(w, ex) * gain
-                fy += wp.cw_mul(w, ey) * gain
-                fz += wp.cw_mul(w, ez) * gain
-                if wp.static(integral_acts):
-                    sx = summed[i, 0] + ex
-                    sy = summed[i, 1] + ey
-                    sz = summed[i, 2] + ez
-                    square = wp.cw_mul(sx, sx) + wp.cw_mul(sy, sy) + wp.cw_mul(sz, sz)
-                    share = wp.min(inverse_root(wp.max(square, tiny2)) * integral_limit, vec(1.0))
-                    sx, sy, sz = wp.cw_mul(sx, share), wp.cw_mul(sy, share), wp.cw_mul(sz, share)
-                    summed[i, 0] = sx
-                    summed[i, 1] = sy
-                    summed[i, 2] = sz
-                    fx += wp.cw_mul(w, sx) * integral
-                    fy += wp.cw_mul(w, sy) * integral
-                    fz += wp.cw_mul(w, sz) * integral
-                if wp.static(derivative_acts):
-                    fx -= wp.cw_mul(w, vx) * derivative
-                    fy -= wp.cw_mul(w, vy) * derivative
-                    fz -= wp.cw_mul(w, vz) * derivative
-                vx = (vx + fx) * damping
-                vy = (vy + fy) * damping
-                vz = (vz + fz) * damping
-                lift = wp.max(x[i, 2] + vz, zero) - (x[i, 2] + vz)
-                vz = vz + lift
-                if wp.static(friction_acts):
-                    kept = sliding(vx, vy, lift, friction)
-                    vx = wp.cw_mul(vx, kept)
-                    vy = wp.cw_mul(vy, kept)
-                x[i, 0] = x[i, 0] + vx
-                x[i, 1] = x[i, 1] + vy
-                x[i, 2] = x[i, 2] + vz
-                v[i, 0] = vx
-                v[i, 1] = vy
-                v[i, 2] = vz
-                if looks:
-                    largest = wp.max(largest, wp.cw_mul(vx, vx) + wp.cw_mul(vy, vy) + wp.cw_mul(vz, vz))
-            if looks and fastest(largest) < tolerance * tolerance:
+                fx, fy, fz = springs(i, body, graph, numbers.stiffness)
+                largest = advance(i, fx, fy, fz, body, numbers, looks, largest)
+            if looks and highest(largest) < numbers.tolerance * numbers.tolerance:
                 break
         for i in range(particles):
-            for c in range(3):
-                store(out, group, graph.order[i], c, x[i, c])
-                store(velocity, group, graph.order[i], c, v[i, c])
+            give(i, group, body, scene, graph.order)
+
+    return guide
+
+
+@functools.cache
+def _guide_blocks(terms: _Terms) -> wp.Kernel:
+    """Guidance on a GPU: a block works on a candidate at a time, its threads on particles."""
+    vec = vector(1)
+    _, Bodies = _bodies(1)
+    body_at = _body_at(1)
+    _, springs, sum_of_parts = _forces(1, terms.tension_only)
+    take, advance, give = _guided(1, terms)
+
+    @wp.kernel(**BLOCK_KERNEL)
+    def guide(scene: Scene, graph: Springs, bodies: Bodies, numbers: Numbers):
+        slot, thread = wp.tid()
+        body = body_at(bodies, slot)
+        particles, threads = graph.order.shape[0], wp.block_dim()
+        for candidate in range(slot, scene.positions.shape[0], bodies.x.shape[0]):
+            for i in range(thread, particles, threads):
+                take(i, candidate, body, scene, graph.order)
+            barrier()
+            for iteration in range(1, numbers.iterations + 1):
+                looks = iteration % EVERY == 0
+                for item in range(thread, particles * PARTS, threads):
+                    springs(item, body, graph, numbers.stiffness)
+                barrier()
+                largest = vec(0.0)
+                for i in range(thread, particles, threads):
+                    fx, fy, fz = sum_of_parts(i, body, particles)
+                    largest = advance(i, fx, fy, fz, body, numbers, looks, largest)
+                moves = any_thread(wp.where(largest[0] < numbers.tolerance * numbers.tolerance, 0, 1))
+                if looks and moves == 0:
+                    break
+            for i in range(thread, particles, threads):
+                give(i, candidate, body, scene, graph.order)
+
+    return guide
+
+
+@functools.cache
+def _pushed(lanes: int, terms: _Terms) -> tuple[type, wp.Function]:
+    """A disc or hand on its way, and what one iteration of it does with a particle."""
+    vec = vector(lanes)
+    Body, _ = _bodies(lanes)
+    on_table = _table(lanes, terms.friction)
+
+    @wp.struct
+    class Pusher:
+        radius: vec
+        x: vec
+        y: vec
+        last_x: vec
+        last_y: vec
+
+    @wp.func
+    def keep_out(px: vec, py: vec, vx: vec, vy: vec, cx: vec, cy: vec, radius: vec):
+        """A particle inside the upright disc around (cx, cy) comes out to its wall, the shortest way."""
+        qx, qy, ux, uy = vec(), vec(), vec(), vec()
+        for k in range(lanes):
+            ox = px[k] - cx[k]
+            oy = py[k] - cy[k]
+            if wp.max(wp.abs(ox), wp.abs(oy)) < TINY:
+                ox += TINY
+            distance = wp.max(wp.sqrt(ox * ox + oy * oy), TINY)
+            out_of = wp.max(radius[k] / distance - 1.0, 0.0)
+            qx[k] = px[k] + ox * out_of
+            qy[k] = py[k] + oy * out_of
+            ux[k] = vx[k] + ox * out_of
+            uy[k] = vy[k] + oy * out_of
+        return qx, qy, ux, uy
+
+    @wp.func
+    def advance(i: int, fx: vec, fy: vec, fz: vec, body: Body, pusher: Pusher, numbers: Numbers):
+        """One iteration under the springs' force, gravity and the pusher."""
+        x = body.x
+        v = body.v
+        vx = (v[i, 0] + fx) * numbers.damping
+        vy = (v[i, 1] + fy) * numbers.damping
+        vz = (v[i, 2] + fz - vec(numbers.gravity)) * numbers.damping
+        vx, vy, vz = on_table(x[i, 2], vx, vy, vz, numbers.friction)
+        px, py, vx, vy = keep_out(x[i, 0] + vx, x[i, 1] + vy, vx, vy, pusher.x, pusher.y, pusher.radius)
+        pz = x[i, 2] + vz
+        if wp.static(terms.held):
+            h = body.target[i, 3]
+            free = vec(1.0) - h
+            px = wp.cw_mul(px, free) + wp.cw_mul(h, x[i, 0] + pusher.x - pusher.last_x)
+            py = wp.cw_mul(py, free) + wp.cw_mul(h, x[i, 1] + pusher.y - pusher.last_y)
+            pz = wp.cw_mul(pz, free) + wp.cw_mul(h, x[i, 2])
+            vx, vy, vz = wp.cw_mul(vx, free), wp.cw_mul(vy, free), wp.cw_mul(vz, free)
+        x[i, 0] = px
+        x[i, 1] = py
+        x[i, 2] = pz
+        v[i, 0] = vx
+        v[i, 1] = vy
+        v[i, 2] = vz
+
+    return Pusher, advance
+
+
+@functools.cache
+def _way(lanes: int, terms: _Terms) -> tuple[wp.Function, wp.Function]:
+    """The pusher where its path begins, and a step further."""
+    load, _ = accessors(lanes)
+    Pusher, _ = _pushed(lanes, terms)
+
+    @wp.func
+    def begin(group: int, discs: wp.array3d(dtype=wp.float32), path: wp.array3d(dtype=wp.float32)) -> Pusher:
+        pusher = Pusher()
+        pusher.radius = load(discs, group, 0, 0)
+        pusher.x = load(path, group, 0, 0)
+        pusher.y = load(path, group, 0, 1)
+        return pusher
+
+    @wp.func
+    def follow(pusher: Pusher, group: int, path: wp.array3d(dtype=wp.float32), t: int) -> Pusher:
+        moved = Pusher()
+        moved.radius = pusher.radius
+        moved.last_x = pusher.x
+        moved.last_y = pusher.y
+        moved.x = load(path, group, t, 0)
+        moved.y = load(path, group, t, 1)
+        return moved
+
+    return begin, follow
+
+
+@functools.cache
+def _push_kernel(lanes: int, terms: _Terms) -> wp.Kernel:
+    """A stroke on a CPU, as `_guide_kernel`."""
+    _, Bodies = _bodies(lanes)
+    body_at = _body_at(lanes)
+    springs, _, _ = _forces(lanes, terms.tension_only)
+    take, _, give = _guided(lanes, terms)
+    _, advance = _pushed(lanes, terms)
+    begin, follow = _way(lanes, terms)
 
     @wp.kernel(**KERNEL)
     def push(
-        first_group: int,
-        first_slot: int,
-        apart: int,
-        positions: wp.array3d(dtype=wp.float32),
-        path: wp.array3d(dtype=wp.float32),
-        held: wp.array3d(dtype=wp.float32),
-        discs: wp.array3d(dtype=wp.float32),
-        out: wp.array3d(dtype=wp.float32),
-        graph: Springs,
-        states: wp.array3d(dtype=vec),
-        velocities: wp.array3d(dtype=vec),
-        forces: wp.array3d(dtype=vec),
-        grips: wp.array3d(dtype=vec),
-        stiffness: float,
-        damping: float,
-        friction: float,
-        gravity: float,
+        first_group: int, slot: int, scene: Scene, stroke: Stroke, graph: Springs, bodies: Bodies, numbers: Numbers
     ):
         group = first_group + wp.tid()
-        slot = first_slot + wp.tid() * apart
-        x = states[slot]
-        v = velocities[slot]
-        force = forces[slot]
-        grip = grips[slot]
+        body = body_at(bodies, slot)
         particles = graph.order.shape[0]
-        radius = load(discs, group, 0, 0)
-        last_x, last_y = load(path, group, 0, 0), load(path, group, 0, 1)
         for i in range(particles):
-            for c in range(3):
-                x[i, c] = load(positions, group, graph.order[i], c)
-                v[i, c] = zero
-                force[i, c] = zero
-            if wp.static(held_acts):
-                grip[i, 0] = load(held, group, graph.order[i], 0)
-        for t in range(path.shape[1]):
-            cx, cy = load(path, group, t, 0), load(path, group, t, 1)
+            take(i, group, body, scene, graph.order)
+        pusher = begin(group, stroke.discs, stroke.path)
+        for t in range(stroke.path.shape[1]):
+            pusher = follow(pusher, group, stroke.path, t)
             for i in range(particles):
-                fx, fy, fz = springs(i, x, force, graph, stiffness)
-                vx = (v[i, 0] + fx) * damping
-                vy = (v[i, 1] + fy) * damping
-                vz = (v[i, 2] + fz - vec(gravity)) * damping
-                lift = wp.max(x[i, 2] + vz, zero) - (x[i, 2] + vz)
-                vz = vz + lift
-                if wp.static(friction_acts):
-                    kept = sliding(vx, vy, lift, friction)
-                    vx = wp.cw_mul(vx, kept)
-                    vy = wp.cw_mul(vy, kept)
-                px = x[i, 0] + vx
-                py = x[i, 1] + vy
-                pz = x[i, 2] + vz
-                for k in range(lanes):
-                    ox = px[k] - cx[k]
-                    oy = py[k] - cy[k]
-                    if wp.max(wp.abs(ox), wp.abs(oy)) < TINY:
-                        ox += TINY
-                    distance = wp.max(wp.sqrt(ox * ox + oy * oy), TINY)
-                    out_of = wp.max(radius[k] / distance - 1.0, 0.0)
-                    px[k] = px[k] + ox * out_of
-                    py[k] = py[k] + oy * out_of
-                    vx[k] = vx[k] + ox * out_of
-                    vy[k] = vy[k] + oy * out_of
-                if wp.static(held_acts):
-                    h = grip[i, 0]
-                    free = vec(1.0) - h
-                    px = wp.cw_mul(px, free) + wp.cw_mul(h, x[i, 0] + cx - last_x)
-                    py = wp.cw_mul(py, free) + wp.cw_mul(h, x[i, 1] + cy - last_y)
-                    pz = wp.cw_mul(pz, free) + wp.cw_mul(h, x[i, 2])
-                    vx, vy, vz = wp.cw_mul(vx, free), wp.cw_mul(vy, free), wp.cw_mul(vz, free)
-                x[i, 0] = px
-                x[i, 1] = py
-                x[i, 2] = pz
-                v[i, 0] = vx
-                v[i, 1] = vy
-                v[i, 2] = vz
-            last_x, last_y = cx, cy
+                fx, fy, fz = springs(i, body, graph, numbers.stiffness)
+                advance(i, fx, fy, fz, body, pusher, numbers)
         for i in range(particles):
-            for c in range(3):
-                store(out, group, graph.order[i], c, x[i, c])
+            give(i, group, body, scene, graph.order)
 
-    return _Kernels(guide, push)
+    return push
+
+
+@functools.cache
+def _push_blocks(terms: _Terms) -> wp.Kernel:
+    """A stroke on a GPU, as `_guide_blocks`."""
+    _, Bodies = _bodies(1)
+    body_at = _body_at(1)
+    _, springs, sum_of_parts = _forces(1, terms.tension_only)
+    take, _, give = _guided(1, terms)
+    _, advance = _pushed(1, terms)
+    begin, follow = _way(1, terms)
+
+    @wp.kernel(**BLOCK_KERNEL)
+    def push(scene: Scene, stroke: Stroke, graph: Springs, bodies: Bodies, numbers: Numbers):
+        slot, thread = wp.tid()
+        body = body_at(bodies, slot)
+        particles, threads = graph.order.shape[0], wp.block_dim()
+        for candidate in range(slot, scene.positions.shape[0], bodies.x.shape[0]):
+            for i in range(thread, particles, threads):
+                take(i, candidate, body, scene, graph.order)
+            barrier()
+            pusher = begin(candidate, stroke.discs, stroke.path)
+            for t in range(stroke.path.shape[1]):
+                pusher = follow(pusher, candidate, stroke.path, t)
+                for item in range(thread, particles * PARTS, threads):
+                    springs(item, body, graph, numbers.stiffness)
+                barrier()
+                for i in range(thread, particles, threads):
+                    fx, fy, fz = sum_of_parts(i, body, particles)
+                    advance(i, fx, fy, fz, body, pusher, numbers)
+                barrier()
+            for i in range(thread, particles, threads):
+                give(i, candidate, body, scene, graph.order)
+
+    return push
 
 
 @functools.lru_cache(maxsize=32)
@@ -319,14 +589,40 @@ def _packed(graph: SpringGraph, device: torch.device) -> Springs:
     start_warp()
     order = bandwidth_order(graph.pairs, graph.particles)
     pairs = np.sort(np.argsort(order)[graph.pairs], axis=1)
+    rest = graph.rest_length
+    if device.type != "cpu":
+        pairs, rest = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(rest, 2)
     by_first = np.lexsort((pairs[:, 1], pairs[:, 0]))
     springs = Springs()
     springs.order = wp.array(order.astype(np.int32), dtype=wp.int32, device=str(device))
     first = np.searchsorted(pairs[by_first, 0], np.arange(graph.particles + 1))
     springs.first = wp.array(first.astype(np.int32), dtype=wp.int32, device=str(device))
     springs.second = wp.array(pairs[by_first, 1].astype(np.int32), dtype=wp.int32, device=str(device))
-    springs.rest = wp.array(graph.rest_length[by_first].astype(np.float32), dtype=wp.float32, device=str(device))
+    springs.rest = wp.array(rest[by_first].astype(np.float32), dtype=wp.float32, device=str(device))
     return springs
+
+
+def _scratch(launch: Launch, particles: int) -> Any:
+    """Bodies for all slots."""
+    bodies = _bodies(launch.lanes)[1]()
+    parts = 1 if launch.device.type == "cpu" else PARTS
+    for name, rows, columns in (
+        ("x", 1, 3),
+        ("v", 1, 3),
+        ("force", parts, 3),
+        ("target", 1, 4),
+        ("summed", 1, 3),
+    ):
+        setattr(bodies, name, launch.scratch(rows * particles, columns))
+    return bodies
+
+
+def _scene(**arrays: Tensor) -> Any:
+    """The candidates' arrays, float32 and contiguous."""
+    scene = Scene()
+    for name, array in arrays.items():
+        setattr(scene, name, wp.from_torch(array, requires_grad=False))
+    return scene
 
 
 def guide(
@@ -340,7 +636,8 @@ def guide(
 
     Raises as the reference does. Source: paper, Eq. 3 and 4.
     """
-    check_guidance(positions, setpoint, graph, params, weights)
+    if not recording():
+        check_guidance(positions, setpoint, graph, params, weights)
     weights = torch.ones_like(positions[..., 0]) if weights is None else weights
     return _drive(positions, torch.zeros_like(positions), setpoint, weights, graph, params)
 
@@ -358,22 +655,22 @@ def _drive(
     positions: Tensor, velocity: Tensor, setpoint: Tensor, weights: Tensor, graph: SpringGraph, params: GuidanceParams
 ) -> Tensor:
     """Positions [B, N, 3] afterwards; velocity [B, N, 3] becomes that of the end. weights: [B, N]."""
-    launch = Launch(len(positions), positions.device, LANES)
-    out = torch.empty_like(positions)
-    size = graph.particles
-    arguments: list[Any] = [
-        positions.contiguous(),
-        setpoint.contiguous(),
-        weights[..., None].contiguous(),
-        velocity,
-        out,
-    ]
-    arguments += [_packed(graph, positions.device)]
-    arguments += [launch.scratch(size, 3) for _ in range(3)] + [launch.scratch(size, 4), launch.scratch(size, 3)]
-    arguments += [params.stiffness, params.damping, params.gain, params.integral, params.integral_limit]
-    arguments += [params.derivative, params.friction, params.iterations, params.tolerance]
+    launch = Launch(len(positions), positions.device, LANES, graph.particles * PARTS)
+    out = torch.empty(positions.shape, device=positions.device)
+    scene = _scene(
+        positions=positions.contiguous(),
+        setpoint=setpoint.contiguous(),
+        weights=weights[..., None].contiguous(),
+        velocity=velocity,
+        out=out,
+    )
+    numbers = Numbers()
+    for name in ("stiffness", "damping", "friction", "gain", "integral", "integral_limit", "derivative"):
+        setattr(numbers, name, getattr(params, name))
+    numbers.iterations, numbers.tolerance = params.iterations, params.tolerance
     terms = _Terms(params.friction > 0, params.tension_only, params.integral > 0, params.derivative > 0)
-    launch.run(_kernels(launch.lanes, terms).guide, arguments)
+    kernel = _guide_kernel(launch.lanes, terms) if launch.device.type == "cpu" else _guide_blocks(terms)
+    launch.run(kernel, [scene, _packed(graph, launch.device), _scratch(launch, graph.particles), numbers])
     return out
 
 
@@ -388,15 +685,24 @@ def push(
 
     Raises as the reference does. Source: paper, Eq. 3, with contact as the external force.
     """
-    *numbers, radius = check_push(positions, path, graph, params)
-    launch = Launch(len(positions), positions.device, LANES)
-    out = torch.empty_like(positions)
+    numbers = Numbers()
+    numbers.stiffness, numbers.damping, numbers.friction, numbers.gravity, radius = check_push(
+        positions, path, graph, params
+    )
+    launch = Launch(len(positions), positions.device, LANES, graph.particles * PARTS)
+    out = torch.empty(positions.shape, device=positions.device)
     grip = torch.zeros_like(positions[..., 0]) if held is None else held.to(positions)
-    discs = torch.where(grip.any(1), 0.0, radius).to(positions)[:, None, None]
-    arguments: list[Any] = [positions.contiguous(), path.contiguous(), grip[..., None].contiguous(), discs, out]
-    arguments += [_packed(graph, positions.device)]
-    arguments += [launch.scratch(graph.particles, 3) for _ in range(3)] + [launch.scratch(graph.particles, 1)]
-    arguments += numbers
-    terms = _Terms(numbers[2] > 0, params.tension_only, held=held is not None)
-    launch.run(_kernels(launch.lanes, terms).push, arguments)
+    scene = _scene(
+        positions=positions.contiguous(),
+        setpoint=positions.contiguous(),
+        weights=grip[..., None].contiguous(),
+        velocity=torch.zeros_like(out),
+        out=out,
+    )
+    stroke = Stroke()
+    stroke.path = wp.from_torch(path.contiguous())
+    stroke.discs = wp.from_torch(torch.where(grip.any(1), 0.0, radius).to(positions)[:, None, None])
+    terms = _Terms(numbers.friction > 0, params.tension_only, held=held is not None)
+    kernel = _push_kernel(launch.lanes, terms) if launch.device.type == "cpu" else _push_blocks(terms)
+    launch.run(kernel, [scene, stroke, _packed(graph, launch.device), _scratch(launch, graph.particles), numbers])
     return out

@@ -28,7 +28,7 @@ def make_cost(kind: str, goal: torch.Tensor, particles: int) -> Cost:
             raise DataError(
                 f"the goal has {len(goal)} points, fewer than the {particles} particles", hint="--cost chamfer"
             )
-        thinned = goal[torch.as_tensor(farthest_point_sample(goal.numpy(), particles))]
+        thinned = goal[torch.as_tensor(farthest_point_sample(goal.cpu().numpy(), particles))]
         return lambda positions: _earth_mover(positions, thinned)
     if len(goal) != particles:
         raise DataError(
@@ -44,6 +44,6 @@ def _chamfer(positions: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
 
 
 def _earth_mover(positions: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
-    distances = torch.cdist(positions, goal.expand(len(positions), -1, -1)).numpy()
+    distances = torch.cdist(positions, goal.expand(len(positions), -1, -1)).cpu().numpy()
     means = [matrix[linear_sum_assignment(matrix)].mean() for matrix in distances]
-    return torch.as_tensor(np.array(means, np.float32))
+    return torch.as_tensor(np.array(means, np.float32), device=positions.device)

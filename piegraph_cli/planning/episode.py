@@ -54,18 +54,19 @@ def play(
     *,
     start: int,
     goal: int,
+    device: str = "cpu",
 ) -> Episode:
     """Plan in an environment (`environments.base.Environment`) from start number `start` to goal number `goal`.
 
     Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones; a goal
     is drawn relative to the start. `choose_goal(state, sample)` may give another goal than the environment's.
-    `trained` may be None where `params.model` is not trained.
+    `trained` may be None where `params.model` is not trained. Strokes are searched on `device`.
     """
     state, _ = environment.reset(seed=int(np.random.SeedSequence([params.seed, 0, start]).generate_state(1)[0]))
     rng = np.random.default_rng([params.seed, 1, goal])
     wanted = choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal(environment.goal(rng), True)
     tool, seed = tool_of(environment), [params.seed, 2, start, goal]
-    cost, make_plan = make_planner(trained, state, wanted, params, tool, seed)
+    cost, make_plan = make_planner(trained, state, wanted, params, tool, seed, device)
 
     def act(stroke: Strokes) -> tuple[np.ndarray, bool]:
         after, _, _, _, info = environment.step(stroke.action())
@@ -86,13 +87,15 @@ def tool_of(environment: Any) -> Tool:
     return Tool(environment.modes, environment.pusher_radius)
 
 
-def plan_once(trained: Trained | None, state: np.ndarray, goal: Goal, params: PlanParams) -> Episode:
+def plan_once(
+    trained: Trained | None, state: np.ndarray, goal: Goal, params: PlanParams, device: str = "cpu"
+) -> Episode:
     """Plan strokes for a robot that sees the object's particles `state` [N, 3] (m): steps that nobody has carried out.
 
     No steps where the goal is reached already. Raises `DataError` where no stroke is feasible.
     """
     check_inside(state, params, "the object")
-    cost, make_plan = make_planner(trained, state, goal, params, Tool(), [params.seed, 2, 0, 0])
+    cost, make_plan = make_planner(trained, state, goal, params, Tool(), [params.seed, 2, 0, 0], device)
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
         return Episode(state, goal.points, [], start, start)

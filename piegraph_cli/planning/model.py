@@ -32,6 +32,8 @@ class Model:
     """None where nothing is learned, as for `static` and `sms-no`."""
     settings: PlanParams = field(default_factory=PlanParams)
     """In force where a call gives no others."""
+    device: str = "cpu"
+    """Where strokes are searched: `cpu` or `cuda`."""
 
     @property
     def particles(self) -> int:
@@ -80,7 +82,7 @@ class Model:
         target = (
             Goal(move_in_plane(seen, goal_pose), True) if goal is None else Goal(_points(goal, "goal"), corresponds)
         )
-        return plan_once(self.trained, seen, target, params)
+        return plan_once(self.trained, seen, target, params, self.device)
 
 
 def _points(points: Any, what: str) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import Trained, make_predict
+from piegraph_cli.dynamics.models import Trained, make_predict, recordable
 from piegraph_cli.dynamics.params import trained_label
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH, mode_number, mode_word
@@ -14,7 +14,7 @@ from piegraph_cli.planning.costs import Cost, make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
-from piegraph_cli.planning.search import Plan, plan_strokes
+from piegraph_cli.planning.search import Plan, Search
 
 GOAL_POINTS = 2_000
 """A goal cloud of more is thinned to these: what is planned does not depend on how densely a camera sees."""
@@ -44,11 +44,17 @@ class Tool:
 
 
 def make_planner(
-    trained: Trained | None, state: np.ndarray, goal: Goal, params: PlanParams, tool: Tool, seed: list[int]
+    trained: Trained | None,
+    state: np.ndarray,
+    goal: Goal,
+    params: PlanParams,
+    tool: Tool,
+    seed: list[int],
+    device: str = "cpu",
 ) -> tuple[Cost, MakePlan]:
     """The cost, and the function that plans from positions [N, 3] (m), for the object whose rest state is `state` [N, 3].
 
-    `trained` is None where `params.model` is not trained.
+    `trained` is None where `params.model` is not trained. The search is on `device`, all that is given and returned on the CPU.
     """
     check_inside(goal.points, params, "the goal")
     kind = params.cost if params.cost != "auto" else "distance" if goal.corresponds else "chamfer"
@@ -60,10 +66,12 @@ def make_planner(
         if PICK not in modes or not goal.corresponds:
             raise UsageError("the greedy planner picks, and needs to know which particle belongs where", "plan.planner")
         return cost, lambda positions: put_worst_right(positions, target, cost)
-    predict = make_predict(params.model, trained, torch.as_tensor(state), params)
-    space = stroke_space(torch.as_tensor(state), params, modes, pusher_radius(params, tool))
-    generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
-    return cost, lambda positions: plan_strokes(positions, predict, cost, space, params, generator)
+    rest = torch.as_tensor(state, device=device)
+    predict = make_predict(params.model, trained, rest, params)
+    space = stroke_space(rest, params, modes, pusher_radius(params, tool))
+    generator = torch.Generator(device).manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
+    record = rest.is_cuda and recordable(params.model) and len(modes) == 1 and kind != "emd"
+    return cost, Search(predict, make_cost(kind, target.to(rest), len(state)), space, params, generator, record)
 
 
 def pusher_radius(params: PlanParams, tool: Tool) -> float:

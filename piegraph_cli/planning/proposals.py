@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import torch
 
@@ -47,25 +49,31 @@ class StrokeSpace:
     workspace: tuple[float, ...]
     """xmin, xmax, ymin, ymax, ... [m]: a stroke's ends stay inside."""
 
-    def _bounds(self, mode: int) -> tuple[torch.Tensor, torch.Tensor]:
+    @cached_property
+    def _bounds(self) -> dict[int, tuple[torch.Tensor, torch.Tensor]]:
+        """Of the four numbers of each mode."""
         carry = self.max_carry
-        low, high = (
-            ([-math.pi, -1.0, self.min_length, 0.0], [math.pi, 1.0, self.max_length, 0.0])
-            if mode == PUSH
-            else ([-1.0, -1.0, -carry, -carry], [1.0, 1.0, carry, carry])
-        )
-        return torch.tensor(low), torch.tensor(high)
+        ranges = {
+            PUSH: ([-math.pi, -1.0, self.min_length, 0.0], [math.pi, 1.0, self.max_length, 0.0]),
+            PICK: ([-1.0, -1.0, -carry, -carry], [1.0, 1.0, carry, carry]),
+        }
+        device = self.edges.device
+        return {
+            m: (torch.tensor(low, device=device), torch.tensor(high, device=device))
+            for m, (low, high) in ranges.items()
+        }
 
     def sample(self, shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
         """Uniform proposals [*shape, 5], the modes equally often."""
-        unit = torch.rand(*shape, 4, generator=generator)
-        choice = (
-            torch.randint(len(self.modes), shape, generator=generator) if len(self.modes) > 1 else torch.zeros(shape)
-        )
-        mode = torch.tensor(self.modes)[choice.long()]
+        device = generator.device
+        unit = torch.rand(*shape, 4, generator=generator, device=device)
+        choice = torch.zeros(shape, device=device)
+        if len(self.modes) > 1:
+            choice = torch.randint(len(self.modes), shape, generator=generator, device=device)
+        mode = torch.tensor(self.modes, device=device)[choice.long()]
         values = unit
         for m in self.modes:
-            low, high = self._bounds(m)
+            low, high = self._bounds[m]
             values = torch.where((mode == m)[..., None], low + unit * (high - low), values)
         return torch.cat([mode[..., None].to(values), values], -1)
 
@@ -93,19 +101,24 @@ class StrokeSpace:
         count: int,
         generator: torch.Generator,
     ) -> torch.Tensor:
-        shares = torch.stack([weights[proposals[:, 0] == m].sum() for m in self.modes])
+        shares = torch.stack(
+            [weights[proposals[:, 0] == m].sum() if self._mixed else weights.sum() for m in self.modes]
+        )
         choice = torch.multinomial(shares, count, replacement=True, generator=generator)
-        normal = torch.randn(count, 4, generator=generator)
-        drawn = torch.empty(count, NUMBERS)
+        normal = torch.randn(count, 4, generator=generator, device=proposals.device)
+        drawn = proposals.new_empty(count, NUMBERS)
         for k, mode in enumerate(self.modes):
-            here, own = choice == k, proposals[:, 0] == mode
-            if not here.any():
-                continue
+            here: Any = slice(None)
+            own: Any = slice(None)
+            if self._mixed:
+                here, own = choice == k, proposals[:, 0] == mode
+                if not here.any():
+                    continue
             values, weight = proposals[own, 1:].clone(), weights[own, None] / shares[k]
             if mode == PUSH:
-                leader = values[weight[:, 0].argmax(), 0]
+                leader = values[weight[:, 0].argmax()[None], 0]
                 values[:, 0] = leader + _wrap(values[:, 0] - leader)
-            low, high = self._bounds(mode)
+            low, high = self._bounds[mode]
             mean = (weight * values).sum(0)
             deviation = _deviation(values, weight, mean) if noise is None else noise * (high - low)
             fresh = mean + deviation * normal[here]
@@ -115,32 +128,35 @@ class StrokeSpace:
             drawn[here, 1:] = torch.minimum(torch.maximum(fresh, low), high)
         return drawn
 
+    @property
+    def _mixed(self) -> bool:
+        """Whether there is more than one mode. With one a GPU is never asked which candidates have it."""
+        return len(self.modes) > 1
+
     def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[Strokes, torch.Tensor]:
         """Strokes [B] on positions [B, N, 3] (m), and whether each is feasible [B].
 
         Infeasible: a push that passes by or grazes, see `DEPTH`, or an end outside the workspace.
         """
-        mode = proposals[:, 0]
-        start, end, feasible = (
-            torch.zeros(len(mode), 2),
-            torch.zeros(len(mode), 2),
-            torch.zeros(len(mode), dtype=torch.bool),
-        )
+        mode, ends = proposals[:, 0], proposals.new_zeros(2, len(proposals), 2)
+        start, end, feasible = *ends, ends[0, :, 0] > 0
         for m, make in ((PUSH, self._pushes), (PICK, self._picks)):
             here = mode == m
-            if here.any():
+            if self.modes == (m,):
+                start, end, feasible = make(positions, proposals[:, 1:])
+            elif m in self.modes and here.any():
                 chosen = positions if here.all() else positions[here]
                 start[here], end[here], feasible[here] = make(chosen, proposals[here, 1:])
-        strokes = Strokes(start, end, mode.long(), torch.zeros(len(mode), 2, dtype=torch.bool))
-        return strokes, feasible & self._inside(start) & self._inside(end)
+        held = torch.zeros(len(mode), 2, dtype=torch.bool, device=mode.device)
+        return Strokes(start, end, mode.long(), held), feasible & self._inside(torch.stack([start, end]))
 
     def _pushes(
         self, positions: torch.Tensor, numbers: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """First contact is that of the pusher's disc against the particles and the edges between them."""
         heading, share, length = numbers[:, :3].unbind(-1)
-        along = torch.stack([heading.cos(), heading.sin()], -1)
-        across = torch.stack([-heading.sin(), heading.cos()], -1)
+        cosine, sine = heading.cos(), heading.sin()
+        along, across = torch.stack([cosine, sine], -1), torch.stack([-sine, cosine], -1)
         one_state = positions.stride(0) == 0  # as in the first step of a horizon
         planar = self._filled(positions[:1, :, :2] if one_state else positions[..., :2])
         centre = planar.mean(1)
@@ -150,21 +166,26 @@ class StrokeSpace:
         middle, half = (side.amax(1) + side.amin(1)) / 2, (side.amax(1) - side.amin(1)) / 2
         offset = middle + share * half
         apart = (side - offset[:, None]).square()
-        contact = _first_contact(depth, apart, self.pusher_radius + self.margin)
-        first = torch.where(contact.isfinite(), contact, 0.0) - CLEARANCE
+        contact, into = _first_contacts(depth, apart, self._reaches)
+        first = contact.nan_to_num(posinf=0.0) - CLEARANCE
         start = centre + along * first[:, None] + across * offset[:, None]
-        goes_in = _first_contact(depth, apart, (1 - DEPTH) * self.pusher_radius + self.margin) < first + length
-        return start, start + along * length[:, None], goes_in
+        return start, start + along * length[:, None], into < first + length
+
+    @cached_property
+    def _reaches(self) -> torch.Tensor:
+        """Squared distances [2] (m2) between the middles of pusher and particle: where they touch, and where it has gone in."""
+        radii = (self.pusher_radius + self.margin, (1 - DEPTH) * self.pusher_radius + self.margin)
+        return torch.tensor([radius**2 for radius in radii], device=self.edges.device)
 
     def _picks(self, positions: torch.Tensor, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         planar = positions[..., :2]
         middle, half = (planar.amax(1) + planar.amin(1)) / 2, (planar.amax(1) - planar.amin(1)) / 2
         wanted = middle + numbers[:, :2] * half
         nearest = (planar - wanted[:, None]).norm(dim=-1).argmin(1)
-        start = planar[torch.arange(len(planar)), nearest]
+        start = planar[torch.arange(len(planar), device=planar.device), nearest]
         distance = numbers[:, 2:].norm(dim=-1, keepdim=True)
-        still = torch.where(distance < SHORTEST, torch.tensor([SHORTEST, 0.0]), torch.zeros(2))
-        carry = (numbers[:, 2:] + still) * (self.min_length / distance.clamp_min(SHORTEST)).clamp_min(1)
+        aside = (distance < SHORTEST) * numbers.new_tensor([SHORTEST, 0.0])
+        carry = (numbers[:, 2:] + aside) * (self.min_length / distance.clamp_min(SHORTEST)).clamp_min(1)
         return start, start + carry, torch.ones_like(nearest, dtype=torch.bool)
 
     def _filled(self, planar: torch.Tensor) -> torch.Tensor:
@@ -172,17 +193,22 @@ class StrokeSpace:
         first, second = planar[:, self.edges[:, 0]], planar[:, self.edges[:, 1]]
         return torch.cat([planar, *((1 - t) * first + t * second for t in (0.25, 0.5, 0.75))], 1)
 
-    def _inside(self, points: torch.Tensor) -> torch.Tensor:
+    def _inside(self, ends: torch.Tensor) -> torch.Tensor:
+        """Whether both ends [2, B, 2] lie in the workspace."""
+        low, high = self._corners
+        return ((ends >= low) & (ends <= high)).all(-1).all(0)
+
+    @cached_property
+    def _corners(self) -> torch.Tensor:
         xmin, xmax, ymin, ymax = self.workspace[:4]
-        x, y = points.unbind(-1)
-        return (x >= xmin) & (x <= xmax) & (y >= ymin) & (y <= ymax)
+        return torch.tensor([[xmin, ymin], [xmax, ymax]], device=self.edges.device)
 
 
-def _first_contact(depth: torch.Tensor, apart: torch.Tensor, radius: float) -> torch.Tensor:
-    """How deep along its heading [B] (m) a disc's centre is when it meets a point of depth [B, M] (m) and squared distance
-    to the side [B, M] (m2); infinite if it meets none."""
-    reach = radius**2 - apart
-    return torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(1)
+def _first_contacts(depth: torch.Tensor, apart: torch.Tensor, reaches: torch.Tensor) -> torch.Tensor:
+    """How deep along its heading a disc's centre is when it meets a point of depth [B, M] (m) and squared distance to the
+    side [B, M] (m2), for R squared reaches of the disc (m2): [R, B], infinite if it meets none."""
+    reach = reaches[:, None, None] - apart
+    return torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(-1)
 
 
 def _wrap(angle: torch.Tensor) -> torch.Tensor:
@@ -202,6 +228,6 @@ def solid_edges(positions: torch.Tensor) -> torch.Tensor:
     distances.fill_diagonal_(torch.inf)
     near = distances.topk(min(NEIGHBORS, len(positions) - 1), largest=False)
     spacing = torch.cdist(positions, positions).fill_diagonal_(torch.inf).amin(1).median()
-    owner = torch.arange(len(positions))[:, None].expand_as(near.indices)
+    owner = torch.arange(len(positions), device=positions.device)[:, None].expand_as(near.indices)
     pairs = torch.stack([owner, near.indices], -1)[near.values <= 2 * spacing]
     return torch.unique(pairs.sort(-1).values, dim=0)

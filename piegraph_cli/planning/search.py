@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import torch
 
 from piegraph_cli.dynamics.stroke import Predict, Strokes
+from piegraph_cli.kernels.recorded import Recorded
 from piegraph_cli.planning.costs import Cost
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.proposals import StrokeSpace
+from piegraph_cli.planning.proposals import NUMBERS, StrokeSpace
 
 INFEASIBLE = 10.0
 """Metres added to the cost of a stroke that misses or leaves the workspace: more than any real distance."""
@@ -35,51 +36,97 @@ class Plan:
     candidates: Candidates
 
 
-def plan_strokes(
-    state: torch.Tensor,
-    predict: Predict,
-    cost: Cost,
-    space: StrokeSpace,
-    params: PlanParams,
-    generator: torch.Generator,
-) -> Plan | None:
-    """The best of `samples` x `cem_iterations` candidate stroke sequences from state [N, 3] (m); None if none is feasible.
+class Search:
+    """Finds the best of `samples` x `cem_iterations` candidate stroke sequences for one object and goal.
 
     The first iteration is uniform. Each later one is drawn around the weighted candidates of the one before, and keeps the
     best so far: CEM weighs the elites equally and fits the deviation, MPPI weighs all by exp(-cost / temperature) and
     keeps the deviation. CEM ends early when its elites are as good as the best within `converged` (m).
+    It works where `generator` is, as `predict`, `cost` and `space` must. `record` has a GPU replay the iterations, see
+    `kernels.recorded`; that needs one mode, and a `predict` and `cost` that never wait for their results.
     Source: paper, III-E (CEM); MPPI as in the paper's baseline PGND.
     """
-    proposals = space.sample((params.samples, params.horizon), generator)
-    best: tuple[float, Strokes, torch.Tensor] | None = None
-    kept, seen = proposals[:0], []
-    for _ in range(params.cem_iterations):
-        strokes, predicted, costs = rollout(state, proposals, predict, cost, space)
-        leader = int(costs.argmin())
-        if best is None or float(costs[leader]) < best[0]:
-            best = (float(costs[leader]), strokes[leader], predicted[leader])
-            kept = proposals[leader : leader + 1]
-        weights = _weights(costs, params)
-        seen.append((strokes, costs, weights))
-        agreed = best[0] < INFEASIBLE and float(costs[weights > 0].max()) - best[0] < params.converged
-        if params.planner == "cem" and agreed:
-            break
+
+    def __init__(
+        self,
+        predict: Predict,
+        cost: Cost,
+        space: StrokeSpace,
+        params: PlanParams,
+        generator: torch.Generator,
+        record: bool = False,
+    ):
+        self.predict, self.cost, self.space, self.params, self.generator = predict, cost, space, params, generator
+        self.look = Recorded(self._look, generator, record)
+        self.draw = Recorded(self._draw, generator, record)
+        self.state = torch.empty(0, 3)
+
+    def __call__(self, state: torch.Tensor) -> Plan | None:
+        """A plan from state [N, 3] (m), on the CPU; None if no candidate is feasible."""
+        self._begin(state)
+        seen = []
+        for _ in range(self.params.cem_iterations):
+            self.look()
+            strokes, costs, weights = self.seen
+            seen.append((strokes.clone(), costs.clone(), weights.clone()))
+            if self._agreed():
+                break
+            self.draw()
+        cost, predicted, _ = (value[0].cpu() for value in self.best)
+        if float(cost) >= INFEASIBLE:
+            return None
+        candidates = _candidates(seen, self.params.cem_iterations)
+        leader = int(candidates.costs.nan_to_num(nan=torch.inf).argmin())
+        strokes = candidates.strokes[leader // self.params.samples, leader % self.params.samples]
+        return Plan(strokes, predicted, float(cost), candidates)
+
+    def _begin(self, state: torch.Tensor) -> None:
+        """The first proposals. What is recorded goes on with the same tensors."""
+        samples, horizon, device = self.params.samples, self.params.horizon, self.generator.device
+        proposals = self.space.sample((samples, horizon), self.generator)
+        if self.state.shape != state.shape:
+            self.state, self.proposals = state.to(device, copy=True), proposals
+            shapes = ((), (horizon, *state.shape), (horizon, NUMBERS))
+            self.best = [torch.empty(1, *shape, device=device) for shape in shapes]
+        self.state.copy_(state)
+        self.proposals.copy_(proposals)
+        self.best[0].fill_(torch.inf)
+
+    def _look(self) -> None:
+        """Predict the proposals, weigh them, and keep cost, states and proposal of the best so far."""
+        strokes, predicted, costs = rollout(self.state, self.proposals, self.predict, self.cost, self.space)
+        leader = costs.argmin()[None]
+        better = costs[leader] < self.best[0]
+        for kept, found in zip(self.best, (costs, predicted, self.proposals), strict=True):
+            torch.where(better.view(-1, *[1] * (found.dim() - 1)), found[leader], kept, out=kept)
+        self.seen = strokes, costs, _weights(costs, self.params)
+
+    def _agreed(self) -> bool:
+        """Whether the elites are as good as the best."""
+        if self.params.planner != "cem" or self.params.converged == 0:
+            return False
+        _, costs, weights = self.seen
+        worst = torch.where(weights > 0, costs, -torch.inf).amax()
+        highest, lowest = torch.stack([worst, self.best[0][0]]).tolist()
+        return lowest < INFEASIBLE and highest - lowest < self.params.converged
+
+    def _draw(self) -> None:
+        """The next proposals."""
+        params = self.params
         noise = params.noise if params.planner == "mppi" else None
-        proposals = torch.cat([kept, space.refit(proposals, weights, noise, params.samples - 1, generator)])
-    if best is None or best[0] >= INFEASIBLE:
-        return None
-    return Plan(best[1], best[2], best[0], _candidates(seen, params.cem_iterations))
+        fresh = self.space.refit(self.proposals, self.seen[2], noise, params.samples - 1, self.generator)
+        self.proposals.copy_(torch.cat([self.best[2], fresh]))
 
 
 def _candidates(seen: list[tuple[Strokes, torch.Tensor, torch.Tensor]], iterations: int) -> Candidates:
-    """Of strokes [B, H], costs and weights [B] of each iteration that there was."""
+    """Of strokes [B, H], costs and weights [B] of each iteration that there was, on the CPU."""
     strokes, costs, _ = seen[0]
     nowhere = torch.full_like(strokes.start, torch.nan)
     spared = Strokes(nowhere, nowhere, torch.zeros_like(strokes.mode), torch.zeros_like(strokes.held))
     never = iterations - len(seen)
     seen = seen + [(spared, torch.full_like(costs, torch.nan), torch.zeros_like(costs))] * never
     looked, found, weights = zip(*seen, strict=True)
-    return Candidates(Strokes.stack(looked), torch.stack(found), torch.stack(weights))
+    return Candidates(Strokes.stack(looked).to("cpu"), torch.stack(found).cpu(), torch.stack(weights).cpu())
 
 
 def _weights(costs: torch.Tensor, params: PlanParams) -> torch.Tensor:
@@ -88,8 +135,7 @@ def _weights(costs: torch.Tensor, params: PlanParams) -> torch.Tensor:
         return torch.softmax(-costs / params.temperature, 0)
     weights = torch.zeros_like(costs)
     elites = costs.argsort()[: max(2, round(params.elites * params.samples))]
-    weights[elites] = 1 / len(elites)
-    return weights
+    return weights.index_fill_(0, elites, 1 / len(elites))
 
 
 def rollout(
@@ -100,7 +146,7 @@ def rollout(
     The cost is the mean over the states, not that of the last alone: a first stroke that wanders would cost nothing.
     """
     positions = state.expand(len(proposals), -1, -1)
-    total = torch.zeros(len(proposals))
+    total = torch.zeros(len(proposals), device=proposals.device)
     strokes, predicted = [], []
     for step in proposals.unbind(1):
         stroke, feasible = space.strokes(positions, step)

@@ -57,7 +57,7 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
 
     from piegraph_cli.dynamics.dataset import TEST
     from piegraph_cli.evaluation.windows import window_metrics
-    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model, read_sequence
 
     set_up_torch()
@@ -67,7 +67,7 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
     for index in context.progress(np.flatnonzero(data["sequence_split"] == TEST), "evaluate"):
         sequence = read_sequence(data, int(index))
         true = _true_positions(inputs, names[index])
-        for horizon, *values in window_metrics(sequence, true, trained, params):
+        for horizon, *values in window_metrics(sequence, true, trained, params, choose_device(context.device)):
             for column, value in zip(rows, (horizon, names[index], *values), strict=True):
                 rows[column].append(value)
     if not rows["horizon"]:

@@ -55,14 +55,14 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     from piegraph_cli.planning.episode import play, tool_of
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import Goal, tool_warnings
-    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
     from piegraph_cli.stages.steps import open_environment
 
     _check_question(params)
     set_up_torch()
     trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
-    model = Model(params.model, trained, params)
+    model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
         episodes = [_plan_once(model, params)]
     else:
@@ -72,7 +72,7 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
 
         environment = open_environment(params, model)
         numbers = context.progress(range(params.episodes), "plan")
-        episodes = [play(environment, trained, params, wanted, start=i, goal=i) for i in numbers]
+        episodes = [play(environment, trained, params, wanted, start=i, goal=i, device=model.device) for i in numbers]
         warnings = tool_warnings(params, tool_of(environment))
     arrays = _arrays(episodes, params)
     return Output(arrays, _quality(arrays, params), warnings)

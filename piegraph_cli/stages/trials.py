@@ -100,7 +100,7 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     from piegraph_cli.planning.episode import play, tool_of
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import tool_warnings
-    from piegraph_cli.process import set_up_torch
+    from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
     from piegraph_cli.stages.steps import open_environment, step_arrays
 
@@ -108,7 +108,8 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     model = _read_model(params)
     trained = None if model is None else read_model(model)
     environment = open_environment(params.plan, Model(params.plan.model, trained))
-    episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal)
+    device = choose_device(context.device)
+    episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal, device=device)
     states = episode.states
     arrays = step_arrays(episode.steps, len(episode.start)) | {
         "goal": episode.goal,

@@ -6,14 +6,10 @@ import subprocess
 import sys
 
 import pytest
-import torch
 import warp as wp
 
 from piegraph_cli.dynamics import network_kernel
-from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.physics import spring_kernel
-from tests.dynamics.test_network_kernel import case
-from tests.physics.test_spring_kernel import GRAPH, scene
 
 CODE = """
 import logging, sys
@@ -70,24 +66,13 @@ def test_without_a_cache_folder_kernels_are_compiled_and_it_is_said(tmp_path):
     assert "XDG_CACHE_HOME" in done.stderr
 
 
-def test_the_same_source_compiles_for_cuda(tmp_path):
-    terms = spring_kernel._Terms(True, True, True, True)
-    pair = spring_kernel._kernels(1, terms)
-    for number, kernel in enumerate((pair.guide, pair.push, network_kernel._kernel(1, True, True))):
+def test_the_kernels_of_a_gpu_compile(tmp_path):
+    terms = spring_kernel._Terms(True, True, True, True, True)
+    kernels = (
+        spring_kernel._guide_blocks(terms),
+        spring_kernel._push_blocks(terms),
+        network_kernel._kernel_blocks(True, True),
+    )
+    for number, kernel in enumerate(kernels):
         wp.compile_aot_module(kernel.module, arch=80, module_dir=str(tmp_path / str(number)))
         assert list((tmp_path / str(number)).glob("*.sm80.*"))
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_cuda_agrees_with_the_cpu():
-    start, goal, weights = scene(100)
-    found = spring_kernel.guide(
-        start.cuda(), goal.cuda(), GRAPH, spring_kernel.GuidanceParams(tolerance=0), weights.cuda()
-    )
-    true = spring_kernel.guide(start, goal, GRAPH, spring_kernel.GuidanceParams(tolerance=0), weights)
-    assert float((found.cpu() - true).abs().max()) < 1e-5
-    model = EGNN(12, 32, 4, True, True)
-    rest, states, strokes = case(0, 100, 50, model)
-    on_cpu = network_kernel.NetworkKernel(model, Rest.of(rest[None], 12))(states, strokes)
-    on_gpu = network_kernel.NetworkKernel(model, Rest.of(rest[None].cuda(), 12))(states.cuda(), strokes.cuda())
-    assert float((on_gpu.cpu() - on_cpu).abs().max()) < 1e-5

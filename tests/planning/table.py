@@ -94,5 +94,7 @@ def space_of(state: np.ndarray, modes: tuple[int, ...] = (PUSH,), **settings: An
 
 def plan_stage(**settings: Any) -> dict[str, np.ndarray]:
     """What the stage `plan` makes without a trained model."""
-    context = SimpleNamespace(progress=lambda items, *_: iter(items), run=SimpleNamespace(folder=Path("nowhere")))
+    context = SimpleNamespace(
+        progress=lambda items, *_: iter(items), run=SimpleNamespace(folder=Path("nowhere")), device="cpu"
+    )
     return plan.run({}, PlanParams(**settings), context).arrays

@@ -12,7 +12,7 @@ from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH
-from piegraph_cli.planning.search import INFEASIBLE, plan_strokes
+from piegraph_cli.planning.search import INFEASIBLE, Search
 from piegraph_cli.stages.simulate import make_environment
 from tests import strokes as of_strokes
 from tests.planning.table import ANYWHERE, SQUARE, Rehearsal, choose_modes, plan_stage, planner_of, space_of
@@ -267,7 +267,7 @@ def carried(positions, strokes):
 def search(space, predict=carried, seed: int = 0, **settings):
     state = torch.as_tensor(SQUARE)
     cost = make_cost("distance", state + torch.tensor([0.08, 0.0, 0.0]), len(state))
-    return plan_strokes(state, predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))
+    return Search(predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

@@ -15,7 +15,7 @@ from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, solid_edges
-from piegraph_cli.planning.search import INFEASIBLE, plan_strokes
+from piegraph_cli.planning.search import INFEASIBLE, Search
 
 SQUARE = torch.tensor([[x, y, 0.0] for x in np.linspace(-0.05, 0.05, 6) for y in np.linspace(-0.05, 0.05, 6)]).float()
 SPACE = StrokeSpace((PUSH,), solid_edges(SQUARE), 0.02, 0.14, 0.3, 0.01, 0.002, (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35))
@@ -110,7 +110,7 @@ def test_the_earth_movers_distance_matches_particles_one_to_one():
 
 
 def search(state, predict, cost, space, seed: int = 0, **settings):
-    return plan_strokes(state, predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))
+    return Search(predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
 
 
 @pytest.mark.parametrize("horizon", [1, 2])

@@ -31,6 +31,10 @@ class _Settings:
     params: Params
     content: dict[str, Any]
     files: dict[str, Path]
+    folders: frozenset[str]
+    """Those of the files that are folders."""
+    gone: bool
+    """Whether a file is not there."""
 
 
 @dataclass
@@ -152,7 +156,10 @@ class Run:
         slot = (stage.name, unit if stage.settings else None)
         if slot not in self._settings:
             params = stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
-            self._settings[slot] = _Settings(params, params.content(), params.files())
+            files = params.files()
+            folders = frozenset(name for name, path in files.items() if path.is_dir())
+            gone = not all(path.exists() for path in files.values())
+            self._settings[slot] = _Settings(params, params.content(), files, folders, gone)
         return self._settings[slot]
 
     def inputs(self, stage: Stage, unit: Unit) -> Inputs:
@@ -173,11 +180,11 @@ class Run:
 
     def _work_out_key(self, stage: Stage, unit: Unit) -> str:
         of = self._settings_of(stage, unit)
-        if not all(path.exists() for path in of.files.values()) and (kept := self._kept_key(stage, unit, of.content)):
+        if of.gone and (kept := self._kept_key(stage, unit, of.content)):
             return kept
         settings = dict(of.content)
         for name, path in of.files.items():
-            source = path / unit if path.is_dir() and unit else path
+            source = path / unit if unit and name in of.folders else path
             settings[name] = self.known.content(source, partial(content_hash, source, name))
         for name, (path, artifact) in of.params.artifacts().items():
             header = self.known.header(os.path.abspath(path), str(path), artifact)

@@ -4,7 +4,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -37,30 +37,25 @@ def workspace_rows(sizes: dict[str, tuple[int, int, int]] = SIZES) -> Iterator[R
             time.sleep(1.1 * TICK / 1e9)  # what changed just now is not kept
             run = make_run(Path(folder) / "run", recording)
             time.sleep(1.1 * TICK / 1e9)
-            yield _row(f"status, {what}", partial(_status, run))
-            yield _row(f"run, {what}", partial(_run, run))
+            begin = time.perf_counter()
+            _status(run, again=True)
+            reference = time.perf_counter() - begin
+            for name, work in (("status", _status), ("run", _run)):
+                seconds = median_seconds(partial(work, run), REPEATS)
+                yield Row("workspace", f"{name}, {what}", seconds, reference_seconds=reference)
             for command in ("status", "run"):
                 seconds = median_seconds(partial(_process, command, run), 1)
                 yield Row("workspace", f"piegraph {command}, {what}", seconds)
 
 
-def _row(case: str, work: Callable[[bool], None]) -> Row:
-    begin = time.perf_counter()
-    work(True)
-    reference = time.perf_counter() - begin
-    return Row("workspace", case, median_seconds(partial(work, False), REPEATS), reference_seconds=reference)
-
-
-def _status(run: Run, again: bool) -> None:
+def _status(run: Run, again: bool = False) -> None:
     run = Run(run.folder, run.recipe)
     if again:
         run.known.forget()
     _require_fresh(row["state"] == "fresh" for row in status(run))
 
 
-def _run(run: Run, again: bool) -> None:
-    if again:
-        run.known.forget()
+def _run(run: Run) -> None:
     _require_fresh(outcome.state == "cached" for outcome in run_chain(run, None, Options()))
 
 

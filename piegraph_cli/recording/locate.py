@@ -8,8 +8,9 @@ import numpy as np
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.recording.calibration import Board, locate_camera
+from piegraph_cli.recording.folders import list_sequences
 from piegraph_cli.recording.images import decode_color
-from piegraph_cli.recording.layout import cameras_text, frame_files, list_sequences, read_cameras, read_color
+from piegraph_cli.recording.layout import cameras_text, frame_files, read_cameras, read_color
 
 POOR = 1.0
 """Reprojection error in pixels above which the user is warned."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def _units(run: "Run") -> Sequence[Unit]:
     """The sequences of the recording; those that were read, where it is gone."""
-    from piegraph_cli.recording.layout import list_sequences
+    from piegraph_cli.recording.folders import list_sequences
 
     recording = recording_of(run)
     if not recording.exists() and (run.folder / "frames").is_dir():

@@ -6,15 +6,16 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import h5py
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli import __version__
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.workspace.schema import FIXED_AXES, SCHEMA_VERSION, SCHEMAS, Field, field_of
+
+if TYPE_CHECKING:  # imported where data is read or written: a look at what is known needs neither
+    import h5py
+    import numpy as np
 
 CHUNK_BYTES = 1 << 20
 
@@ -29,9 +30,9 @@ class Artifact:
     params: dict[str, Any]
     inputs: dict[str, Any]
     quality: str
-    arrays: dict[str, np.ndarray]
+    arrays: "dict[str, np.ndarray]"
 
-    def __getitem__(self, dataset: str) -> np.ndarray:
+    def __getitem__(self, dataset: str) -> "np.ndarray":
         return self.arrays[dataset]
 
     def field(self, dataset: str) -> Field:
@@ -50,7 +51,7 @@ class Artifact:
 def write_artifact(
     path: Path,
     name: str,
-    arrays: Mapping[str, np.ndarray],
+    arrays: "Mapping[str, np.ndarray]",
     *,
     stage: str,
     stage_version: int,
@@ -77,18 +78,26 @@ def write_artifact(
         "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "software": f"piegraph {__version__}",
     }
-    # made in memory: HDF5 itself ends the process when the disk is full
+    image = _image(name, attributes, arrays)
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(image)
+
+
+def _image(name: str, attributes: "Mapping[str, Any]", arrays: "Mapping[str, np.ndarray]") -> bytes:
+    """The file's bytes, made in memory: HDF5 itself ends the process when the disk is full."""
+    import h5py
+
     with h5py.File(str(path), "w", driver="core", backing_store=False) as file:
         file.attrs.update(attributes)
         for dataset, value in arrays.items():
             _write_dataset(file, dataset, value, field_of(name, dataset))
         file.flush()
-        image = file.id.get_file_image()
-    with atomic_file(path) as temporary:
-        temporary.write_bytes(image)
+        return file.id.get_file_image()
 
 
-def _cast(name: str, dataset: str, value: np.ndarray, path: Path) -> np.ndarray:
+def _cast(name: str, dataset: str, value: "np.ndarray", path: Path) -> "np.ndarray":
+    import numpy as np
+
     field = field_of(name, dataset)
     if field is None:
         raise DataError(f"artifact {name} has no dataset {dataset}", str(path))
@@ -98,7 +107,7 @@ def _cast(name: str, dataset: str, value: np.ndarray, path: Path) -> np.ndarray:
     return value if field.dtype == "*" else value.astype(field.dtype, copy=False)
 
 
-def _write_dataset(file: h5py.File, dataset: str, value: np.ndarray, field: Field | None) -> None:
+def _write_dataset(file: "h5py.File", dataset: str, value: "np.ndarray", field: Field | None) -> None:
     assert field is not None
     options: dict[str, Any] = {}
     if value.ndim and value.size:
@@ -115,12 +124,14 @@ def read_artifact(path: Path, name: str | None = None, only: Collection[str] | N
 
     Raises `DataError` naming file and dataset when something is off.
     """
+    import h5py
+
     with _open(path, name or "") as file:
         attributes = _attributes(file, path, name)
         name = attributes["artifact"]
         arrays: dict[str, np.ndarray] = {}
 
-        def take(dataset: str, item: h5py.Dataset | h5py.Group) -> None:
+        def take(dataset: str, item: "h5py.Dataset | h5py.Group") -> None:
             if isinstance(item, h5py.Dataset) and (only is None or dataset in only):
                 if item.dtype.hasobject:
                     raise DataError(
@@ -179,7 +190,9 @@ def read_header(path: Path, name: str) -> Header | None:
 
 
 @contextlib.contextmanager
-def _open(path: Path, name: str) -> Iterator[h5py.File]:
+def _open(path: Path, name: str) -> "Iterator[h5py.File]":
+    import h5py
+
     if not path.is_file():
         raise DataError(
             f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them"
@@ -194,7 +207,9 @@ def _open(path: Path, name: str) -> Iterator[h5py.File]:
         yield file
 
 
-def _attributes(file: h5py.File, path: Path, name: str | None) -> dict[str, str]:
+def _attributes(file: "h5py.File", path: Path, name: str | None) -> dict[str, str]:
+    import numpy as np
+
     version = file.attrs.get("schema_version")
     if isinstance(version, np.integer) and version > SCHEMA_VERSION:
         raise DataError(
@@ -216,9 +231,11 @@ def _remake(path: Path, attributes: Mapping[str, str]) -> str:
 
 
 def check_arrays(
-    path: Path, name: str, arrays: Mapping[str, np.ndarray], hint: str = "", only: Collection[str] | None = None
+    path: Path, name: str, arrays: "Mapping[str, np.ndarray]", hint: str = "", only: Collection[str] | None = None
 ) -> None:
     """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
+    import numpy as np
+
     missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays and (only is None or d in only)]
     if missing:
         raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
@@ -242,7 +259,7 @@ def check_arrays(
         raise DataError(message, str(path), hint)
 
 
-def _check_axes(value: np.ndarray, axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
+def _check_axes(value: "np.ndarray", axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
     if value.ndim != len(axes):
         raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
     for axis, length in zip(axes, value.shape, strict=True):
@@ -252,7 +269,7 @@ def _check_axes(value: np.ndarray, axes: list[str], lengths: dict[str, int], whe
             raise DataError(f"axis {axis} has length {length}, expected {expected}", where, hint)
 
 
-def _check_offsets(offsets: np.ndarray, parts: np.ndarray | None, name: str, where: str, hint: str) -> None:
+def _check_offsets(offsets: "np.ndarray", parts: "np.ndarray | None", name: str, where: str, hint: str) -> None:
     """Check offsets [n + 1] against the dataset they cut; where that was not read, alone."""
     rises = len(offsets) > 0 and offsets[0] == 0 and (offsets[1:] >= offsets[:-1]).all()
     if not rises or (parts is not None and parts.shape[:1] != (offsets[-1],)):

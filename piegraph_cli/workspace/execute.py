@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 from filelock import Timeout
 
 from piegraph_cli.errors import DataError, PiegraphError
@@ -19,6 +18,9 @@ from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, w
 from piegraph_cli.workspace.parallel import each
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
+
+if TYPE_CHECKING:
+    import numpy as np
 
 log = logging.getLogger("piegraph")
 
@@ -35,15 +37,17 @@ class Checkpoint:
     stage: Stage
     key: str
 
-    def load(self) -> dict[str, np.ndarray] | None:
+    def load(self) -> "dict[str, np.ndarray] | None":
         """The saved state, or None."""
         if read_key(self.path, "checkpoint") != self.key:
             return None
         arrays = read_artifact(self.path, "checkpoint").arrays
         return {name.removeprefix("state/"): value for name, value in arrays.items()}
 
-    def save(self, state: Mapping[str, np.ndarray]) -> None:
+    def save(self, state: "Mapping[str, np.ndarray]") -> None:
         """Replace the saved state."""
+        import numpy as np
+
         arrays = {f"state/{name}": np.asarray(value) for name, value in state.items()}
         write_artifact(
             self.path,

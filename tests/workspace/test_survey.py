@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace import execute
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
+from piegraph_cli.workspace.known import TICK
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.survey import count_states, foresee, status
@@ -154,6 +156,8 @@ def test_counts_of_nothing():
 @pytest.mark.parametrize("command", [["status"], ["run"], ["run", "--dry"]])
 def test_nothing_heavy_is_imported_where_all_is_fresh(tiny_run, tmp_path, command):
     shutil.copytree(tiny_run, tmp_path / "run")
+    time.sleep(1.1 * TICK / 1e9)
+    status(open_run(tmp_path / "run"))
     arguments = [*command, "--run", str(tmp_path / "run")]
     program = f"""
 import sys
@@ -163,6 +167,6 @@ print([name for name in sys.modules if "." not in name])
 sys.exit(code)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=REPOSITORY, check=True)
-    assert "'numpy'" in done.stdout.splitlines()[-1]
-    for heavy in ("torch", "cv2", "scipy", "pymunk", "matplotlib", "joblib", "open3d"):
+    assert "'pydantic'" in done.stdout.splitlines()[-1]
+    for heavy in ("numpy", "h5py", "torch", "cv2", "scipy", "pymunk", "matplotlib", "joblib", "open3d"):
         assert f"'{heavy}'" not in done.stdout.splitlines()[-1], heavy

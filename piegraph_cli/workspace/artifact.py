@@ -78,12 +78,12 @@ def write_artifact(
         "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "software": f"piegraph {__version__}",
     }
-    image = _image(name, attributes, arrays)
+    image = _image(path, name, attributes, arrays)
     with atomic_file(path) as temporary:
         temporary.write_bytes(image)
 
 
-def _image(name: str, attributes: "Mapping[str, Any]", arrays: "Mapping[str, np.ndarray]") -> bytes:
+def _image(path: Path, name: str, attributes: Mapping[str, Any], arrays: "Mapping[str, np.ndarray]") -> bytes:
     """The file's bytes, made in memory: HDF5 itself ends the process when the disk is full."""
     import h5py
 

@@ -12,6 +12,7 @@ import pytest
 
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace import known, run
+from piegraph_cli.workspace.artifact import read_header
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
 from piegraph_cli.workspace.known import Known, known_of
 from piegraph_cli.workspace.recipe import Recipe
@@ -207,6 +208,22 @@ def test_reading_everything_again(ingested, settled):
     opened.known.forget()
     assert [row["state"] for row in status(opened) if row["stage"] == "ingest"] == ["fresh"] * 2
     assert states(ingested) == ["fresh"] * 2
+
+
+def test_what_is_forgotten_does_not_come_back_with_what_others_kept(ingested, settled):
+    states(ingested)
+    path, places = ingested / known.NAME, [f"frames/seq {i}.h5" for i in (0, 1)]
+    mine = Known(ingested)
+    mine.forget()
+    wrong = json.loads(path.read_text())
+    wrong["headers"][places[1]][5] = "another key"
+    path.write_text(json.dumps(wrong))
+    first, second = (str(ingested / place) for place in places)
+    mine.header(places[0], first, "frames")
+    mine.save()
+    found = mine.header(places[1], second, "frames")
+    assert found is not None
+    assert found.key == read_header(Path(second), "frames").key
 
 
 def test_the_option_to_read_everything_again(ingested):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from piegraph_cli.bench import workspace as bench
 from piegraph_cli.errors import DataError
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace import execute
@@ -108,6 +109,18 @@ def test_what_is_foreseen_is_what_is_made(copied):
     assert {stage for stage, _ in foreseen} == {"simulate", "evaluate"}, "with the same tracks, the dataset stays"
     made = [(o.stage, o.unit) for o in run_chain(run, None, Options()) if o.state == "done"]
     assert sorted(made) == sorted(foreseen)
+
+
+def test_scores_that_would_be_made_count_as_made(tmp_path):
+    recording = bench.make_recording(tmp_path / "recording", 2, 1, 10)
+    for sequence in recording.glob("sequence_*"):
+        (sequence / "truth.h5").write_bytes(b"")
+    folder = bench.make_run(tmp_path / "run", recording).folder
+    assert {row["state"] for row in status(open_run(folder))} == {"fresh"}
+    (folder / "scores" / "sequence_0001.h5").unlink()
+    assert "stale" in {row["state"] for row in status(open_run(folder)) if row["stage"] == "evaluate"}
+    found = [(row["stage"], row["unit"], row["reason"]) for row in foresee(open_run(folder), None, force=False)]
+    assert found == [("score", "sequence_0001", "missing")]
 
 
 @pytest.fixture

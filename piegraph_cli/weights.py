@@ -10,7 +10,10 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from piegraph_cli.errors import MissingError, UsageError
+from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.files import atomic_file
+
+CACHE_HINT = "set XDG_CACHE_HOME to a folder that can be written; a hand model by its path: --hand-model FILE"
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,15 @@ WEIGHTS: dict[str, Weights] = {
 
 
 def cache_folder() -> Path:
-    """Where fetched files are kept: $XDG_CACHE_HOME/piegraph, or ~/.cache/piegraph."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piegraph"
+    """Where fetched files are kept: $XDG_CACHE_HOME/piegraph, or ~/.cache/piegraph.
+
+    Raises `MissingError` for a user without a home folder, as in a container that runs under a number.
+    """
+    given = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return Path(given or Path.home() / ".cache") / "piegraph"
+    except RuntimeError:
+        raise MissingError("this user has no home folder", "cache of weights and kernels", CACHE_HINT) from None
 
 
 def cached_weights(name: str) -> Path:
@@ -107,10 +117,11 @@ def _from_package(weights: Weights) -> bytes | None:
 
 
 def _keep(path: Path, data: bytes) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_bytes(data)
-    os.replace(partial, path)
+    try:
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(data)
+    except DataError as error:
+        raise MissingError(error.message, str(path), CACHE_HINT) from None
     return path
 
 

@@ -115,13 +115,16 @@ def logging_to(folder: Path) -> Iterator[None]:
     stderr = logging.StreamHandler(sys.stderr)
     stderr.setLevel(logging.INFO)
     stderr.setFormatter(logging.Formatter("%(message)s"))
-    folder.mkdir(parents=True, exist_ok=True)
-    file = _LogFile(folder / "run.log", encoding="utf-8")
-    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    log.handlers = [stderr, file]
-    log.debug("piegraph %s: %s", __version__, sys.argv[1:])
-    try:
+    log.handlers = [stderr]
+    with contextlib.ExitStack() as stack:
+        stack.callback(log.handlers.clear)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(contextlib.closing(_LogFile(folder / "run.log", encoding="utf-8")))
+        except OSError as error:  # what is fresh can be read all the same
+            log.warning("nothing is noted in run.log: %s", error)
+        else:
+            file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+            log.addHandler(file)
+        log.debug("piegraph %s: %s", __version__, sys.argv[1:])
         yield
-    finally:
-        log.handlers = []
-        file.close()

@@ -78,7 +78,7 @@ def _kernel_folder() -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder
-    except (OSError, RuntimeError) as error:  # RuntimeError: no home
+    except (OSError, MissingError) as error:
         log.warning("no writable cache (%s): kernels are compiled anew, some seconds; set XDG_CACHE_HOME", error)
         temporary = tempfile.mkdtemp(prefix="piegraph-kernels-")
         atexit.register(shutil.rmtree, temporary, ignore_errors=True)

@@ -198,7 +198,7 @@ def _open(path: Path, name: str) -> "Iterator[h5py.File]":
             f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them"
         )
     try:
-        file = h5py.File(path, "r")
+        file = h5py.File(path, "r", locking=False)  # files are replaced whole, never written in place
     except OSError as error:
         raise DataError(
             f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again"

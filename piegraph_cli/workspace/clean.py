@@ -143,7 +143,7 @@ def _held(lock: Path) -> bool:
     try:
         with FileLock(lock, timeout=0):
             return False
-    except Timeout:
+    except (Timeout, OSError):  # where there are no locks nobody knows
         return True
 
 

@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from filelock import Timeout
-
 from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.files import remove_leftovers
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
@@ -149,7 +147,7 @@ def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool =
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
     start = time.monotonic()
     try:
-        with _locked(run, stage, unit) as waited:
+        with run.lock(f"{stage.writes}/{unit}" if unit else stage.writes) as waited:
             for file in (run.path(stage.writes, unit), run.checkpoint(stage, unit)):
                 remove_leftovers(file)
             if (waited or not options.force) and run.fresh(stage, unit):
@@ -225,25 +223,6 @@ def _require_inputs(run: Run, stage: Stage, unit: Unit) -> None:
 def _quality(run: Run, stage: Stage, unit: Unit) -> str:
     header = run.header(stage, unit)
     return header.quality if header else ""
-
-
-class _locked:
-    """The lock of one artifact; tells whether another process had it, for then its result may be used."""
-
-    def __init__(self, run: Run, stage: Stage, unit: Unit):
-        self.lock = run.lock(f"{stage.writes}/{unit}" if unit else stage.writes)
-
-    def __enter__(self) -> bool:
-        try:
-            self.lock.acquire(timeout=0)
-            return False
-        except Timeout:
-            log.info("waiting for another piegraph that works on %s", self.lock.lock_file)
-            self.lock.acquire()
-            return True
-
-    def __exit__(self, *_: object) -> None:
-        self.lock.release()
 
 
 def _log_outcomes(outcomes: list[Outcome]) -> None:

@@ -4,18 +4,18 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock
 
 from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params
 from piegraph_cli.workspace.artifact import Artifact, Header, read_artifact
 from piegraph_cli.workspace.known import Known, known_of
+from piegraph_cli.workspace.locks import held
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
 
@@ -101,11 +101,9 @@ class Run:
         """Where a long stage keeps its state until it is done."""
         return self.folder / "checkpoints" / f"{stage.name}.{unit}.h5"
 
-    def lock(self, name: str) -> FileLock:
-        """The lock that keeps two processes from making the same artifact."""
-        file = self.lock_file(name)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        return FileLock(file)
+    def lock(self, name: str) -> AbstractContextManager[bool]:
+        """The lock that keeps two processes from making the same artifact; tells whether another had it before."""
+        return held(self.lock_file(name))
 
     def lock_file(self, name: str) -> Path:
         """Where that lock is."""

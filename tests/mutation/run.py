@@ -10,7 +10,6 @@ import argparse
 import hashlib
 import json
 import os
-import random
 import shutil
 import signal
 import sys
@@ -102,13 +101,15 @@ def modules(only: str) -> list[str]:
 
 
 def choose(sources: dict[str, str], count: int, seed: int) -> list[Mutant]:
-    """A sample of places, one change at each; the sample of a smaller number is the beginning of that of a larger."""
-    rng = random.Random(seed)
+    """A sample of places, one change at each; the sample of a smaller number is the beginning of that of a larger.
+
+    A place is drawn by its own name, so that the sample stays as it is where other code changes.
+    """
     files = (ROOT / PACKAGE).rglob("*.py")
     strict = frozenset(name for file in files for name in strict_functions(file.read_text()))
     places = [place for path, source in sources.items() for place in mutants_of(path, source, strict)]
-    rng.shuffle(places)
-    return [rng.choice(place) for place in places[:count]]
+    drawn = sorted((digest(f"{seed} {place[0].name}"), place) for place in places)
+    return [place[int(number, 16) % len(place)] for number, place in drawn[:count]]
 
 
 def selection_of(module: str) -> tuple[str, ...]:

@@ -259,9 +259,7 @@ def test_chunks_are_whole_rows_of_a_megabyte_at_most(tmp_path):
         assert file["positions"].chunks == (CHUNK_BYTES // (5000 * 12), 5000, 3)
         assert file["time"].chunks == (40,)
     one = {"points": np.zeros((0, 3), np.float32), "offsets": np.zeros(2, np.int64)}
-    write_artifact(
-        path, "clouds", clouds(1) | one, stage="s", stage_version=1, key="k", params={}, inputs={}
-    )
+    write_artifact(path, "clouds", clouds(1) | one, stage="s", stage_version=1, key="k", params={}, inputs={})
     with h5py.File(path) as file:
         assert file["points"].chunks is None
         assert read_artifact(path)["points"].shape == (0, 3)

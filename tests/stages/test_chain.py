@@ -3,8 +3,6 @@
 The commands are tested elsewhere; here it is what each stage is given, makes, tells and keeps.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -157,7 +155,7 @@ def test_a_plan_from_a_state_tells_where_it_would_end(run, tmp_path):
     posed = asked(goal_pose=(0.1, 0, 0))
     assert posed.arrays["stroke"].shape == (2, 2, 2)
     assert posed.quality == f"2 strokes, predicted distance {posed.arrays['cost'][-1] * 100:.1f} cm"
-    np.testing.assert_allclose(posed.arrays["goal"][0].mean(0), now.mean(0) + [0.1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(posed.arrays["goal"][0].mean(0), now.mean(0) + np.array([0.1, 0, 0]), atol=1e-6)
     assert np.isnan(posed.arrays["end_distance"]).all()
     assert (posed.warnings, float(posed.arrays["start_distance"][0])) == ([], pytest.approx(0.1, rel=1e-4))
     clouds = [asked(goal=f"{tmp_path}/goal.npz{frame}") for frame in ("", ":1", ":0")]

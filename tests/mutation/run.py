@@ -166,9 +166,11 @@ def preload() -> None:
     """Import what takes long and is not ours, once: every trial of a change begins as a fork of this process."""
     os.environ |= {"OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
     sys.dont_write_bytecode = True
+    import cv2  # noqa: F401
     import h5py  # noqa: F401
     import hypothesis  # noqa: F401
     import matplotlib.figure  # noqa: F401
+    import open3d  # noqa: F401
     import pydantic  # noqa: F401
     import pytest  # noqa: F401
     import scipy.optimize

@@ -20,7 +20,7 @@ def window_metrics(
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest = torch.as_tensor(sequence["rest"], dtype=torch.float32)
+    rest = torch.as_tensor(sequence["rest"])
     strokes = sequence["strokes"].to(torch.float32)
     predict = make_predict(params.label, trained, rest, params)
     positions = torch.as_tensor(sequence["before"])

@@ -119,6 +119,12 @@ class EGNNParams(GraphParams):
     action_head: bool = Field(True, description="add a displacement in the stroke's frame")
 
 
+class ActionNodeParams(GraphParams):
+    """Settings of the network that sees the stroke as two nodes."""
+
+    mirror: bool = Field(False, description="no effect on egnn-g, whose network tells no left from right")
+
+
 class SMSParams(LearningParams):
     """The springs and the pusher of a spring-mass system alone, and how they are optimised."""
 
@@ -190,7 +196,7 @@ class TrainParams(Params):
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
     piegraph: EGNNParams = Field(EGNNParams(), description="its settings")
-    egnn_g: GraphParams = Field(GraphParams(), alias="egnn-g", description="its settings")
+    egnn_g: ActionNodeParams = Field(ActionNodeParams(), alias="egnn-g", description="its settings")
     gnn: GraphParams = Field(GraphParams(), description="its settings")
     gnn_aug: GraphParams = Field(GraphParams(), alias="gnn-aug", description="its settings")
     sms_o: SMSParams = Field(SMSParams(), alias="sms-o", description="its settings")

@@ -25,7 +25,7 @@ def window_metrics(
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest = torch.as_tensor(sequence["rest"], dtype=torch.float32, device=device)
+    rest = torch.as_tensor(sequence["rest"], device=device)
     strokes = sequence["strokes"].to(device, torch.float32)
     predict = make_predict(params.label, trained, rest, params)
     positions = torch.as_tensor(sequence["before"], device=device)

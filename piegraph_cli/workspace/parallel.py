@@ -62,7 +62,7 @@ def _on_ray(
         task = ray.remote(num_cpus=1, max_retries=RETRIES)(_call).options(name="piegraph")
         waiting = {task.remote(work, item): item for item in items}
         while waiting:
-            (done,), _ = ray.wait(list(waiting), num_returns=1)
+            (done,), _ = ray.wait(list(waiting))
             item = waiting.pop(done)
             try:
                 yield ray.get(done)

@@ -133,8 +133,9 @@ def test_windows_hold_what_was_what_will_be_and_where_the_hand_goes():
     data, network = sequences(), Listener()
     windows = Windows(data, history=2, rollout=2)
     assert len(windows) == 4 + 3
-    windows.loss(network, torch.tensor([0, 3, 5]))
+    loss = windows.loss(network, torch.tensor([0, 3, 5]))
     window = network.given
+    assert float(loss) == float(window.past.sum()) != 0, "the network's own"
     np.testing.assert_array_equal(window.past, data.positions[[[0, 0, 0], [1, 2, 3], [6, 6, 7]]])
     np.testing.assert_array_equal(window.future, data.positions[[[1, 2], [4, 4], [8, 9]]])
     np.testing.assert_array_equal(window.hand, data.hand[[[0, 1, 2], [3, 4, 4], [7, 8, 9]]])

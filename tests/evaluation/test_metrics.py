@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.evaluation.metrics import chamfer_distance, particle_distance, shape_error
 from piegraph_cli.evaluation.params import ModelEvaluateParams
-from piegraph_cli.evaluation.statistics import bootstrap_mean
-from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance
+from piegraph_cli.evaluation.statistics import bootstrap_grid, bootstrap_mean
+from piegraph_cli.evaluation.truth import carry_with_mesh, hand_scores, mask_iou, surface_distance, track_errors
 from piegraph_cli.evaluation.windows import window_metrics
 
 LINE = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
@@ -106,3 +106,19 @@ def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
         for radius in (0.02, 0.08)
     ]
     np.testing.assert_equal(rows[0], rows[1])
+
+
+def test_one_value_alone_has_no_interval():
+    assert bootstrap_grid(np.array([[3.0]]))[0] == 3
+    assert np.isnan(bootstrap_grid(np.array([[3.0]]))[1:]).all()
+    for two in (np.array([[1.0, 3.0]]), np.array([[1.0], [3.0]])):
+        mean, low, high = bootstrap_grid(two)
+        assert (mean, low, high) == (2, 1, 3)
+    mean, low, high = bootstrap_mean(np.array([1.0, 3.0]))
+    assert (mean, low, high) == (2, 1, 3)
+    assert bootstrap_mean([4.0]) == (4, 4, 4)
+
+
+def test_errors_of_tracks_are_means_over_particles_in_millimetres():
+    errors = track_errors(np.stack([LINE, LINE]), np.stack([LINE, LINE + np.array([0, 0.003, 0.004])]))
+    np.testing.assert_allclose(errors, [0, 5], atol=1e-9)

@@ -10,7 +10,6 @@ import argparse
 import hashlib
 import json
 import os
-import random
 import shutil
 import signal
 import sys
@@ -59,7 +58,7 @@ LONG = ("test_every_trained_model_learns_and_goes_on_from_its_state",)
 PROGRAMS = ("piegraph", "piegraph_json", "subprocess", "Popen", "tiny_run", "sample_run", "planner", "sam_checkpoint")
 """Tests that call or need one of these start programs, or train for long: they are left out, for they take minutes."""
 EASE, FACTOR = 10.0, 3.0
-"""Seconds, and times the time without a change, after which tests are stopped: the change made them go on for ever."""
+"""Seconds, and times what all tests take without a change, after which they are stopped: they would go on for ever."""
 NOTICED, SURVIVED, STOPPED = "noticed", "survived", "stopped"
 
 
@@ -102,13 +101,15 @@ def modules(only: str) -> list[str]:
 
 
 def choose(sources: dict[str, str], count: int, seed: int) -> list[Mutant]:
-    """A sample of places, one change at each; the sample of a smaller number is the beginning of that of a larger."""
-    rng = random.Random(seed)
+    """A sample of places, one change at each; the sample of a smaller number is the beginning of that of a larger.
+
+    A place is drawn by its own name, so that the sample stays as it is where other code changes.
+    """
     files = (ROOT / PACKAGE).rglob("*.py")
     strict = frozenset(name for file in files for name in strict_functions(file.read_text()))
     places = [place for path, source in sources.items() for place in mutants_of(path, source, strict)]
-    rng.shuffle(places)
-    return [rng.choice(place) for place in places[:count]]
+    drawn = sorted((digest(f"{seed} {place[0].name}"), place) for place in places)
+    return [place[int(number, 16) % len(place)] for number, place in drawn[:count]]
 
 
 def selection_of(module: str) -> tuple[str, ...]:
@@ -147,27 +148,38 @@ def work(open_: list[Mutant], sources: dict[str, str], tests: str, record: Path,
     if not open_:
         return
     preload()
+    limit = limit_of(given.results / "tree0")
     workers = []
     for k in range(min(given.jobs, len(open_))):
-        if given.jobs == 1:
-            try_all(open_, sources, tests, record, given.results / "tree0")
-            return
         pid = os.fork()
         if pid == 0:
-            try_all(open_[k :: given.jobs], sources, tests, record, given.results / f"tree{k}")
+            try_all(open_[k :: given.jobs], sources, tests, limit, record, given.results / f"tree{k}")
             os._exit(0)
         workers.append(pid)
     for pid in workers:
         os.waitpid(pid, 0)
 
 
+def limit_of(tree: Path) -> float:
+    """The time (s) after which tests are stopped, from what all of them take; they have to pass without a change."""
+    copy_tree(tree)
+    every = dict.fromkeys((*EVERYTHING, *(path for _, paths in TESTS for path in paths)))
+    passed, seconds, said = run_tests(tree, tuple(every), 1800.0)
+    if not passed:
+        sys.exit(f"the tests fail without a change:\n{said[-3000:]}")
+    print(f"the tests take {seconds:.0f} s without a change", file=sys.stderr, flush=True)
+    return EASE + FACTOR * seconds
+
+
 def preload() -> None:
     """Import what takes long and is not ours, once: every trial of a change begins as a fork of this process."""
     os.environ |= {"OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
     sys.dont_write_bytecode = True
+    import cv2  # noqa: F401
     import h5py  # noqa: F401
     import hypothesis  # noqa: F401
     import matplotlib.figure  # noqa: F401
+    import open3d  # noqa: F401
     import pydantic  # noqa: F401
     import pytest  # noqa: F401
     import scipy.optimize
@@ -177,24 +189,14 @@ def preload() -> None:
     torch.set_num_threads(1)
 
 
-def try_all(open_: list[Mutant], sources: dict[str, str], tests: str, record: Path, tree: Path) -> None:
+def try_all(open_: list[Mutant], sources: dict[str, str], tests: str, limit: float, record: Path, tree: Path) -> None:
     """Try changes in a copy of the tree, and note what became of each."""
     copy_tree(tree)
-    usual: dict[tuple[str, ...], float] = {}
-
-    def limit_of(options: tuple[str, ...]) -> float:
-        if options not in usual:
-            passed, usual[options], said = run_tests(tree, options, 900.0)
-            if not passed:
-                sys.exit(f"the tests fail without a change:\n{said[-3000:]}")
-        return EASE + FACTOR * usual[options]
-
     for number, mutant in enumerate(open_, 1):
         target = tree / PACKAGE / mutant.module
         begin, outcome, said = time.monotonic(), SURVIVED, ""
         first = selection_of(mutant.module)
         for options in (first, (*EVERYTHING, *(f"--ignore={path}" for path in first))):
-            limit = limit_of(options)
             target.write_text(mutated(sources[mutant.module], mutant))
             passed, seconds, said = run_tests(tree, options, limit)
             target.write_text(sources[mutant.module])

@@ -76,6 +76,14 @@ def test_a_smaller_sample_is_the_beginning_of_a_larger_one():
     assert names[0] != names[2]
 
 
+def test_the_sample_stays_where_other_code_changes():
+    more = SOURCE + "\n\ndef another(value: float) -> float:\n    return value * 2 + 1\n"
+    before = [m.name for m in choose({"a.py": SOURCE}, 12, 0)]
+    after = [m.name for m in choose({"a.py": more}, 16, 0) if m.function != "another"]
+    assert before[: len(after)] == after[:12]
+    assert len(after) >= 12
+
+
 def test_arguments_that_a_function_needs_are_not_left_out():
     code = "def f(a, b):\n    return a\n\n\ndef g(x):\n    return f(x, 1), np.sum(x, 1)\n"
     left = [

@@ -197,6 +197,45 @@ def test_cem_ends_when_its_elites_are_as_good_as_the_best():
     assert picks.strokes[spared].ends.isnan().all()
 
 
+@pytest.mark.parametrize("planner", ["cem", "mppi"])
+def test_a_search_goes_on_while_nothing_is_feasible(planner):
+    """Candidates that all miss agree with each other, and not on a plan."""
+
+    class Lucky:
+        """At first every stroke misses; what is drawn next does not."""
+
+        def sample(self, shape, generator):
+            return torch.zeros(*shape, 5)
+
+        def refit(self, proposals, weights, noise, count, generator):
+            return torch.ones(count, proposals.shape[1], 5)
+
+        def strokes(self, positions, proposals):
+            start = torch.zeros(len(positions), 2)
+            return Strokes.of(start, start + 0.1, PUSH), proposals[:, 0] > 0
+
+    params = PlanParams(samples=8, cem_iterations=3, planner=planner, converged=1.0)
+    plan = plan_strokes(
+        SQUARE, carried, make_cost("distance", SQUARE, 36), Lucky(), params, torch.Generator().manual_seed(0)
+    )
+    assert plan is not None
+    assert plan.cost == pytest.approx(0.1 * math.sqrt(2), rel=1e-4)
+
+
+def test_layers_of_a_folded_object_are_as_far_apart_as_they_are():
+    """The spacing is that in space: from above, the particles of two layers lie on each other."""
+    upper = SQUARE + torch.tensor([0.0005, 0.0, 0.01])
+    folded = torch.cat([SQUARE, upper])
+    edges = {tuple(edge) for edge in solid_edges(folded).tolist()}
+    assert (0, 36) in edges
+    beside = {(k, k + 1) for k in range(5)}
+    assert beside <= edges
+    assert all(0 <= a < b < 72 for a, b in edges)
+    first, second = SQUARE[solid_edges(SQUARE)].unbind(1)
+    assert 0.039 < float((first - second).norm(dim=-1).max()) < 0.041, "up to twice the spacing"
+    assert len(solid_edges(SQUARE[:1])) == 0
+
+
 def test_a_plan_follows_from_its_seed():
     cost = make_cost("distance", SQUARE + 0.05, 36)
     first, again, other = (

@@ -6,7 +6,7 @@ import pytest
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.workspace.artifact import read_artifact, read_key, write_artifact
+from piegraph_cli.workspace.artifact import CHUNK_BYTES, Header, read_artifact, read_header, read_key, write_artifact
 from piegraph_cli.workspace.schema import SCHEMA_VERSION
 
 
@@ -203,3 +203,105 @@ def test_offsets_are_checked_when_they_are_read_alone(tmp_path):
         file["offsets"][1] = 20
     with pytest.raises(DataError, match="do not rise from 0"):
         read_artifact(path, "clouds", ("offsets",))
+
+
+def test_what_a_file_says_of_itself_and_what_it_holds(stored):
+    artifact = read_artifact(stored)
+    assert (artifact.name, artifact.path, artifact.inputs) == ("tracks", stored, {})
+    field = artifact.field("time")
+    assert (field.axes, field.units, field.dtype) == ("frame", "s", "float64")
+    for absent in ("points", "color"):
+        with pytest.raises(DataError, match=f"has no dataset {absent}"):
+            artifact.field(absent)
+    part = read_artifact(stored, "tracks", ("time",))
+    assert list(part.arrays) == ["time"]
+    with pytest.raises(DataError, match="has no dataset mode"):
+        part.field("mode")
+    with h5py.File(stored) as file:
+        assert {name: file.attrs[name] for name in ("artifact", "stage", "stage_version", "schema_version")} == {
+            "artifact": "tracks",
+            "stage": "track",
+            "stage_version": 1,
+            "schema_version": SCHEMA_VERSION,
+        }
+        assert file.attrs["software"].startswith("piegraph ")
+
+
+@pytest.mark.parametrize(("key", "value"), [("params", "{"), ("inputs", "{"), ("stage_version", "one"), ("key", 3)])
+def test_a_header_that_is_damaged_is_none(stored, key, value):
+    assert read_header(stored, "tracks") == Header("k", 1, '{"a": 1}', "q")
+    assert read_header(stored, "masks") is None
+    with h5py.File(stored, "a") as file:
+        file.attrs[key] = value
+    assert (read_header(stored, "tracks") is None) == (key != "inputs")
+    if key != "stage_version":
+        with pytest.raises(DataError):
+            read_artifact(stored, "tracks")
+
+
+def test_text_is_kept_and_images_are_packed_lightly(tmp_path):
+    path = tmp_path / "a.h5"
+    of = frames(2, 2) | {"camera_name": np.array(["vorn", "links ü"]), "color": np.zeros(3 << 20, np.uint8)}
+    of["color_offsets"] = np.array([0, 1, 2, 3, 3 << 20])
+    write_artifact(path, "frames", of, stage="s", stage_version=1, key="k", params={}, inputs={})
+    assert read_artifact(path).texts("camera_name") == ["vorn", "links ü"]
+    with h5py.File(path) as file:
+        assert (file["color"].chunks, file["color"].compression_opts) == ((CHUNK_BYTES,), 1)
+        assert (file["depth"].compression_opts, file["time"].compression_opts) == (1, 4)
+        assert all(file[name].shuffle and file[name].fletcher32 for name in ("color", "K", "time"))
+
+
+def test_chunks_are_whole_rows_of_a_megabyte_at_most(tmp_path):
+    path = tmp_path / "a.h5"
+    many = tracks(40, 5000)
+    write(path, many)
+    with h5py.File(path) as file:
+        assert file["positions"].chunks == (CHUNK_BYTES // (5000 * 12), 5000, 3)
+        assert file["time"].chunks == (40,)
+    one = {"points": np.zeros((0, 3), np.float32), "offsets": np.zeros(2, np.int64)}
+    write_artifact(path, "clouds", clouds(1) | one, stage="s", stage_version=1, key="k", params={}, inputs={})
+    with h5py.File(path) as file:
+        assert file["points"].chunks is None
+        assert read_artifact(path)["points"].shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"positions": np.zeros((3, 4, 2))}, "axis xyz has length 2, expected 3"),
+        ({"positions": np.zeros((3, 4))}, r"shape \(3, 4\), expected axes frame,particle,xyz"),
+        ({"visibility": np.ones((3, 5))}, "axis particle has length 5, expected 4"),
+        ({"time": np.array([0, np.nan, 1])}, r"time: value that is not finite at index \(1,\)"),
+        ({"colour": np.zeros(3)}, "artifact tracks has no dataset colour"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_named(tmp_path, changes, message):
+    path = tmp_path / "a.h5"
+    with pytest.raises(DataError, match=message) as caught:
+        write(path, tracks() | changes)
+    assert str(path) in str(caught.value)
+    assert not path.exists()
+    write(path, tracks() | {"residual": np.full(3, np.nan), "mode": np.zeros(3), "contact": np.zeros(3, int)})
+    read = read_artifact(path)
+    assert np.isnan(read["residual"]).all()
+    assert (read["mode"].dtype, read["contact"].dtype) == (np.uint8, bool)
+
+
+def test_a_reader_refuses_another_type(stored):
+    with h5py.File(stored, "a") as file:
+        del file["time"]
+        file["time"] = np.arange(3, dtype=np.float32)
+    with pytest.raises(DataError, match="type float32, expected float64") as caught:
+        read_artifact(stored, "tracks")
+    assert caught.value.hint == "make it again: `piegraph track --force`"
+
+
+def test_images_are_those_of_every_frame_and_camera(tmp_path):
+    path = tmp_path / "a.h5"
+    for count, cameras in ((2, 3), (3, 2), (1, 1), (4, 1)):
+        of = frames(count, cameras)
+        write_artifact(path, "frames", of, stage="s", stage_version=1, key="k", params={}, inputs={})
+        assert len(read_artifact(path)["color_offsets"]) == count * cameras + 1
+    with pytest.raises(DataError, match="6 images, expected 3 frames of 3 cameras"):
+        of = frames(2, 3) | {"time": np.arange(3.0), "source_frame": np.zeros((3, 3), int)}
+        write_artifact(path, "frames", of, stage="s", stage_version=1, key="k", params={}, inputs={})

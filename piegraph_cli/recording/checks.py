@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.params import CheckName
 
 Verdict = Literal["good", "doubtful", "bad"]
-NAMES = ("pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines")
-"""All checks, in the order in which they are made."""
+NAMES = get_args(CheckName)
 
 FEW_READINGS = 0.3
 """Share of pixels with a reading of depth below which it is doubtful."""
@@ -49,17 +49,40 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1])] * (len(names) > 1) + list(names[-1:]))
 
 
-def grouped(checks: Sequence[Check]) -> list[str]:
-    """Those that are not good, a line for each kind and cause, the worst first: cameras, finding, cause."""
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with some cameras in the same way."""
+
+    checks: list[Check]
+
+    @property
+    def name(self) -> str:
+        """That of the check."""
+        return self.checks[0].name
+
+    @property
+    def cameras(self) -> list[str]:
+        """All that it is about."""
+        return list(dict.fromkeys(name for check in self.checks for name in check.cameras))
+
+    @property
+    def text(self) -> str:
+        """Cameras, the worst finding, and the cause."""
+        worst = max(self.checks, key=lambda c: abs(c.figure) if np.isfinite(c.figure) else 0)
+        return f"{listed(self.cameras)}: {worst.text}" + (f"; {worst.cause}" if worst.cause else "")
+
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        return self.checks[0].remedy
+
+
+def grouped(checks: Sequence[Check]) -> list[Finding]:
+    """Checks that are not good, those with the same verdict and cause together, the worst first."""
     groups: dict[tuple[str, str, str], list[Check]] = {}
     for check in sorted((c for c in checks if c.verdict != "good"), key=lambda c: (c.verdict, NAMES.index(c.name))):
         groups.setdefault((check.name, check.verdict, check.cause), []).append(check)
-    lines = []
-    for (_, _, cause), same in groups.items():
-        cameras = listed(list(dict.fromkeys(name for check in same for name in check.cameras)))
-        worst = max(same, key=lambda c: abs(c.figure) if np.isfinite(c.figure) else 0)
-        lines.append(f"{cameras}: {worst.text}" + (f"; {cause}" if cause else ""))
-    return lines
+    return [Finding(same) for same in groups.values()]
 
 
 def check_images(camera: Camera, depth: Sequence[np.ndarray], color: Sequence[np.ndarray]) -> list[Check]:

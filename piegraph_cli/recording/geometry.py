@@ -148,7 +148,7 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
 
 def _by_edges(look: _Look, fault: Fault | None, edges: Check | None) -> Cause | None:
     """Depth that lies beside colour tilts the table too: that is no fault of the pose."""
-    if fault is None or edges is None or edges.verdict != "bad" or fault.above <= 0:
+    if fault is None or edges is None or edges.verdict == "good" or fault.above <= 0:
         return None
     most = 2 * edges.figure * fault.distance / look.camera.K[0, 0]
     return Cause(edges.cause, edges.remedy, ()) if abs(fault.offset) < most else None

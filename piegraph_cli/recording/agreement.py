@@ -8,6 +8,8 @@ from piegraph_cli.recording.camera import Camera
 
 FEWEST = 40
 """Points that are needed to compare two cameras."""
+PARTS, FEWEST_IN_PART = 6, 8
+"""Images are compared in so many parts across and down, those that have so many points."""
 THROUGH = 0.6
 """Of the way from a thing to the table behind it, how much a camera has to see beyond the thing."""
 BORDER = 0.008
@@ -41,7 +43,7 @@ class Sight:
         size = 2 * max(1, round(BORDER * camera.width)) + 1
         nearest = cv2.erode(np.where(metres > 0, metres, np.float32(np.inf)), np.ones((size, size), np.uint8))
         nearest[~np.isfinite(nearest)] = 0
-        return cls(camera, metres, nearest, surface[:: max(1, len(surface) // 1000)], things)
+        return cls(camera, metres, nearest, surface[:: max(1, len(surface) // 1500)], things)
 
 
 def seen_through(one: Sight, other: Sight, T_one: np.ndarray, T_other: np.ndarray, table: float) -> float:
@@ -58,13 +60,17 @@ def seen_through(one: Sight, other: Sight, T_one: np.ndarray, T_other: np.ndarra
 
 
 def apart(one: Sight, other: Sight, T_one: np.ndarray, T_other: np.ndarray) -> float:
-    """Median distance (m), along the other's rays, of one's points to what the other sees; NaN where they hardly overlap.
+    """Typical distance (m), along the other's rays, of one's points to what the other sees; NaN where they hardly overlap.
 
-    What the other cannot see, since something is before it, is left out.
+    Of each part of the image the median counts, so that noise, which differs from pixel to pixel, does not.
     """
     row, column, z, _ = _looked_up(one.surface, other, other.depth, T_one, T_other)
-    off = np.abs(other.depth[row, column] - z)
-    return float(np.median(off)) if len(off) >= FEWEST else np.nan
+    if len(row) < FEWEST:
+        return np.nan
+    off = other.depth[row, column] - z
+    part = row * PARTS // other.camera.height * PARTS + column * PARTS // other.camera.width
+    found = [abs(float(np.median(off[part == p]))) for p in np.unique(part) if (part == p).sum() >= FEWEST_IN_PART]
+    return float(np.median(found)) if found else np.nan
 
 
 def _looked_up(

@@ -12,6 +12,9 @@ STAGE = Stage(
 
 POOR = 0.5
 """Share of frames with a hand below which the user is warned."""
+SHALLOW, FEWEST = 0.6, 5
+"""Share of a hand's landmarks with a depth below which a camera that saw it in so many frames is named; good ones have
+0.84 and more, unregistered depth 0.1 to 0.7."""
 
 
 def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output:
@@ -52,4 +55,11 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     warnings = []
     if hand.observed.mean() < POOR:
         warnings.append(f"hand found in {hand.observed.mean():.0%} of the frames only: see `piegraph report`")
+    shares = [np.nanmean(hand.deep[:, c]) if hand.seen[:, c].sum() >= FEWEST else 1.0 for c in range(len(cameras))]
+    shallow = [f"{c.name} {share:.0%}" for c, share in zip(cameras, shares, strict=True) if share < SHALLOW]
+    if shallow:
+        warnings.append(
+            f"the hand is seen in colour, but few of its landmarks have a depth: {', '.join(shallow)}\n"
+            "  try: register depth to colour; see the edges among the checks of `ingest` (docs/checks.md)"
+        )
     return Output(arrays, quality, warnings)

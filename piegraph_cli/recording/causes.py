@@ -118,9 +118,22 @@ _UPS = (
     ),
 )
 _DEPTHS = (_AS_IS, *(_Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0)))
+MOST_CHANGES = 3, 2
+"""Slips that may come together; with depth among them: of many combinations one would fit by chance."""
+
+
+def _made(changes: tuple[_Change, ...]) -> tuple[_Change, ...]:
+    return tuple(change for change in changes if change is not _AS_IS)
+
+
 _COMBINED = sorted(
-    product(_LENGTHS, _INVERSES, _AXES, _UPS, _DEPTHS), key=lambda changes: sum(c is not _AS_IS for c in changes)
-)[1:]
+    (
+        changes
+        for changes in product(_LENGTHS, _INVERSES, _AXES, _UPS, _DEPTHS)
+        if 0 < len(_made(changes)) <= MOST_CHANGES[changes[-1].scale != 1]
+    ),
+    key=lambda changes: len(_made(changes)),
+)
 
 
 def find_cause(
@@ -171,7 +184,7 @@ def _changed(
     """The fewest common slips that bring all tables right."""
     best: tuple[int, float, tuple[_Change, ...]] | None = None
     for changes in _COMBINED:
-        made = tuple(c for c in changes if c is not _AS_IS)
+        made = _made(changes)
         if best is not None and len(made) > best[0]:
             break
         scale = changes[-1].scale

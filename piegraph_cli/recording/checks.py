@@ -18,6 +18,8 @@ STEPS = 20
 """Depth that never exceeds this number of units was not written in units that fit an image of whole numbers."""
 CLIPPED = 0.5
 """Share of pixels that are black or white."""
+FAINT = 10.0
+"""Edges that are weaker (Sobel, of 8-bit values) than this are noise."""
 SHARP = 1.12
 """How much stronger the strongest edges are than after a blur of two pixels; a sharp image has 1.5 and more."""
 
@@ -126,4 +128,4 @@ def _sharpness(color: np.ndarray) -> float | None:
         float(np.percentile(np.abs(cv2.Sobel(image, cv2.CV_16S, 1, 0)[::2, ::2]), 99.5))
         for image in (grey, cv2.GaussianBlur(grey, (0, 0), 2.0))
     ]
-    return strength[0] / strength[1] if strength[1] > 40 else None
+    return strength[0] / strength[1] if strength[1] > FAINT else None

@@ -65,7 +65,7 @@ def match_outlines(masks: list[np.ndarray], colors: list[np.ndarray]) -> Shift |
         if outline.sum() < FEWEST:
             continue
         edges = _edges(color)
-        padded = cv2.copyMakeBorder(edges, *[reach] * 4, cv2.BORDER_CONSTANT, value=float(edges.mean()))
+        padded = np.pad(edges, reach, constant_values=edges.mean())
         left, top, wide, high = cv2.boundingRect(outline.astype(np.uint8))
         around = padded[top : top + high + 2 * reach, left : left + wide + 2 * reach]
         part = outline[top : top + high, left : left + wide]

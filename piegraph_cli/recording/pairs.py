@@ -7,7 +7,7 @@ import numpy as np
 
 from piegraph_cli.recording.agreement import Sight, apart, seen_through
 from piegraph_cli.recording.causes import exchanges, swap_cause
-from piegraph_cli.recording.checks import Check, judged, listed
+from piegraph_cli.recording.checks import Check, Verdict, judged, listed
 
 APART, APART_SHARE = (0.004, 0.01), (0.006, 0.014)
 """Distance (m) of two cameras' clouds that is doubtful, bad; or as a share of the distance. Good ones end below 2 mm."""
@@ -59,7 +59,10 @@ def _through(
 
 
 def _cause(
-    sights: Sequence[Sequence[Sight]], poses: Sequence[np.ndarray], verdicts: dict[Pair, tuple[str, str]], table: float
+    sights: Sequence[Sequence[Sight]],
+    poses: Sequence[np.ndarray],
+    verdicts: dict[Pair, tuple[Verdict, Verdict]],
+    table: float,
 ) -> tuple[str, str]:
     """Why cameras do not agree, with the remedy: poses exchanged (which is tried), or one camera that is elsewhere."""
     names = [seen[0].camera.name for seen in sights]

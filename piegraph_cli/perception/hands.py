@@ -52,6 +52,8 @@ class HandTrack:
     """[F] bool: the keypoints are measured in this frame, neither filled from its neighbours nor unknown."""
     spread: np.ndarray
     """[F] median distance (m) of the cameras' viewing rays to the merged keypoints, NaN where not observed."""
+    deep: np.ndarray
+    """[F, C] share of the landmarks that have a plausible depth in a camera that saw the hand, NaN where it did not."""
 
 
 def detect_hands(images: Iterable[np.ndarray], times: np.ndarray, model_path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -136,7 +138,8 @@ def lift_hands(
     for f in np.flatnonzero(observed):
         spread[f] = np.nanmedian(np.linalg.norm(across[f], axis=-1))
     pixels = _complete_pixels(landmarks_px, keypoints, seen, cameras)
-    return HandTrack(keypoints, pixels, seen, observed, spread)
+    deep = np.where(seen, np.isfinite(points).all(axis=3).mean(axis=2), np.nan)
+    return HandTrack(keypoints, pixels, seen, observed, spread, deep)
 
 
 def _lift(pixels: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,14 @@
 """Settings of `ingest`."""
 
 from pathlib import Path
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from piegraph_cli.params import Box, Params
+from piegraph_cli.params import Box, Params, split_commas
+
+CheckName = Literal["pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines"]
+"""Checks of a recording's geometry (docs/checks.md), in the order in which they are made."""
 
 
 class IngestParams(Params):
@@ -16,4 +20,8 @@ class IngestParams(Params):
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
         description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
+    )
+    table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
+    accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
+        (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"
     )

@@ -28,7 +28,7 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=1,
+    version=2,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
 )
@@ -45,8 +45,11 @@ def recording_of(run: "Run") -> Path:
 def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
     """Read one sequence of the recording folder."""
     from piegraph_cli.recording.sequence import read_sequence
+    from piegraph_cli.stages.geometry import check_frames
 
     folder = recording_of(context.run) / str(context.unit)
     arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
+    checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]
-    return Output(arrays, f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s", warnings)
+    quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s, geometry {geometry}"
+    return Output(arrays | checked, quality, warnings + doubts)

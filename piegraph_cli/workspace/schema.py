@@ -24,7 +24,7 @@ class Field:
 FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
 """Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
 
-TEXT = "S128"
+TEXT, LONG_TEXT = "S128", "S512"
 
 _TIME = Field("frame", "s", "float64")
 _HAND_PATH = {
@@ -63,6 +63,15 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "distortion": Field("camera,5", "1", "float64"),
         "depth_scale": Field("camera", "m", "float64"),
         "T_world_camera": Field("camera,4,4", "m", "float64"),
+        "check_name": Field("check", "text", TEXT),
+        "check_camera": Field("check", "text", LONG_TEXT),
+        "check_figure": Field("check", "see check_unit", "float64", nan=True),
+        "check_unit": Field("check", "text", TEXT),
+        "check_threshold": Field("check", "see check_unit", "float64"),
+        "check_verdict": Field("check", "text", TEXT),
+        "check_text": Field("check", "text", LONG_TEXT),
+        "check_cause": Field("check", "text", LONG_TEXT),
+        "check_remedy": Field("check", "text", LONG_TEXT),
     },
     "hands": {
         "landmarks": Field("frame,camera,landmark,xy", "px", "float32", nan=True),

@@ -60,6 +60,16 @@ def test_one_camera_needs_its_depth():
     assert blind.seen.all()
 
 
+def test_how_much_of_a_hand_has_a_depth_is_known():
+    pixels = landmarks_of(HANDS).copy()
+    pixels[1, 2] = np.nan
+    deep = lift_hands(pixels, skin_depth(HANDS), CAMERAS, TIMES).deep
+    assert np.isnan(deep[1, 2])
+    assert np.nanmean(deep) > 0.8
+    beside = lift_hands(pixels, lambda f, c: np.roll(skin_depth(HANDS)(f, c), 30, 1), CAMERAS, TIMES).deep
+    assert np.nanmean(beside) < 0.5
+
+
 def test_two_cameras_need_no_depth():
     nothing = np.zeros((159, 212), np.uint16)
     track = lift_hands(landmarks_of(HANDS)[:, :2], lambda f, c: nothing, CAMERAS[:2], TIMES)

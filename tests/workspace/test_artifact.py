@@ -151,6 +151,10 @@ def frames(count: int = 2, cameras: int = 3) -> dict[str, np.ndarray]:
         "distortion": np.zeros((cameras, 5)),
         "depth_scale": np.ones(cameras),
         "T_world_camera": np.zeros((cameras, 4, 4)),
+        "check_figure": np.zeros(1),
+        "check_threshold": np.zeros(1),
+        **{f"check_{name}": np.array([b"a"], "S128") for name in ("name", "unit", "verdict")},
+        **{f"check_{name}": np.array([b"a"], "S512") for name in ("camera", "text", "cause", "remedy")},
     }
 
 

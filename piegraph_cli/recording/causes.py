@@ -1,0 +1,278 @@
+"""Why a table is not at z = 0: ways in which poses and depth are commonly wrong, each tried on the planes that were found."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations, product
+
+import numpy as np
+
+from piegraph_cli.recording.checks import listed
+from piegraph_cli.recording.planes import Plane
+
+MOST_PERMUTED = 4
+"""Up to so many cameras, every exchange of their poses is tried; of more, exchanges of two."""
+CLOSE = 1.0
+"""A cause is found if it brings each table within this share of what would be bad."""
+DISTANCES = 0.1, 15.0
+"""Tables are so far (m) from cameras: shrunk enough, any scene lies at z = 0."""
+LEVEL = 1.2
+"""A table that is tilted by no more (deg) is level."""
+SCALES = (0.008, 0.3)
+"""A scale that is off by less is no scale, by more no slip of a ruler."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """How far a table is from where it should be."""
+
+    offset: float
+    """Height of the table's middle above where it should be, metres."""
+    tilt: float
+    """Angle from the horizontal, degrees."""
+    above: float
+    """Height of the camera above it along the world's z, metres: negative if the camera looks from below."""
+    distance: float
+    """From the camera to the table's middle, metres."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What would explain the fault of these cameras, tried on their data."""
+
+    text: str
+    remedy: str
+    cameras: tuple[int, ...]
+    tested: bool = True
+    """Whether undoing it puts the table right."""
+
+
+Limits = Callable[[Fault], float]
+"""A fault as a share of what would be bad; above 1 it is."""
+
+
+def fault_of(plane: Plane, T: np.ndarray, table: float, scale: float = 1.0) -> Fault:
+    """The fault of a table found by a camera, were its pose `T` [4, 4] and its depth `scale` times what it is."""
+    centre = T[:3, :3] @ plane.centre * scale + T[:3, 3]
+    normal = T[:3, :3] @ plane.normal
+    tilt = float(np.degrees(np.arccos(np.clip(abs(normal[2]) / max(np.linalg.norm(normal), 1e-12), 0, 1))))
+    reach = float(np.linalg.norm(plane.centre)) * scale
+    return Fault(float(centre[2] - table), tilt, float(T[2, 3] - centre[2]), reach)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """One thing that may be wrong, and how to undo it."""
+
+    name: str
+    remedy: str
+    pose: Callable[[np.ndarray], np.ndarray] = lambda T: T
+    scale: float = 1.0
+
+
+def _turned(T: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    turned = T.copy()
+    turned[:3] = rows @ T[:3]
+    return turned
+
+
+def _shrunk(T: np.ndarray) -> np.ndarray:
+    shrunk = T.copy()
+    shrunk[:3, 3] /= 1000
+    return shrunk
+
+
+_AS_IS = _Change("", "")
+_INVERSES = (
+    _AS_IS,
+    _Change(
+        "inverting T_world_camera",
+        "write the inverse of each matrix: T_world_camera maps points of the camera into the world",
+        lambda T: np.linalg.inv(T) if abs(np.linalg.det(T)) > 1e-9 else T,
+    ),
+)
+_AXES = (
+    _AS_IS,
+    _Change(
+        "turning the camera's y and z (these poses have OpenGL's axes)",
+        "negate the second and third column of the rotation: the camera looks along +z, y points down",
+        lambda T: T @ np.diag([1.0, -1, -1, 1]),
+    ),
+)
+_LENGTHS = (
+    _AS_IS,
+    _Change(
+        "taking the poses as millimetres", "divide the translation of T_world_camera by 1000: it is in metres", _shrunk
+    ),
+)
+_UPS = (
+    _AS_IS,
+    _Change(
+        "turning the world over, since its z points down,",
+        "negate the second and third row of T_world_camera: z points up, away from the table",
+        lambda T: _turned(T, np.diag([1.0, -1, -1])),
+    ),
+    _Change(
+        "turning the world, since its y points up,",
+        "turn the world by 90 degrees about x: z points up, away from the table",
+        lambda T: _turned(T, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
+    ),
+)
+_DEPTHS = (_AS_IS, *(_Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0)))
+MOST_CHANGES = 3, 2
+"""Slips that may come together; with depth among them: of many combinations one would fit by chance."""
+
+
+def _made(changes: tuple[_Change, ...]) -> tuple[_Change, ...]:
+    return tuple(change for change in changes if change is not _AS_IS)
+
+
+_COMBINED = sorted(
+    (
+        changes
+        for changes in product(_LENGTHS, _INVERSES, _AXES, _UPS, _DEPTHS)
+        if 0 < len(_made(changes)) <= MOST_CHANGES[changes[-1].scale != 1]
+    ),
+    key=lambda changes: len(_made(changes)),
+)
+
+
+def find_cause(
+    planes: Sequence[Sequence[Plane]],
+    poses: Sequence[np.ndarray],
+    depth_scales: Sequence[float],
+    faults: Sequence[Fault],
+    bad: Sequence[int],
+    names: Sequence[str],
+    table: float,
+    limits: Limits,
+) -> Cause:
+    """What explains the faults of the cameras `bad`, by trying it.
+
+    `planes` per camera in its frame (m), `poses` [4, 4], `depth_scales` as they are given (m per unit), `faults` of
+    the chosen tables, `limits` of what is bad.
+    """
+
+    def likely(fault: Fault) -> float:
+        return limits(fault) if DISTANCES[0] < fault.distance < DISTANCES[1] else np.inf
+
+    def worst(cameras: Sequence[int], poses_of: Callable[[int], np.ndarray], scale: float = 1.0) -> float:
+        return max(min(likely(fault_of(p, poses_of(c), table, scale)) for p in planes[c]) for c in cameras)
+
+    tests: list[Callable[[], Cause | None]] = [
+        lambda: _swapped(bad, names, poses, worst),
+        lambda: _changed(bad, poses, depth_scales, worst, table),
+        lambda: _scaled(bad, faults, poses, names, table),
+    ]
+    # few changes before many: one that puts all tables right is hardly chance
+    for test in tests:
+        found = test()
+        if found:
+            return found
+    who = listed([names[c] for c in bad])
+    angle = max(faults[c].tilt for c in bad)
+    return Cause(
+        f"the pose of {who} is off (tilt {angle:.1f} deg); nothing simple explains it",
+        "calibrate again with the board flat on the table (`piegraph calibrate`)",
+        tuple(bad),
+        tested=False,
+    )
+
+
+def _changed(
+    bad: Sequence[int], poses: Sequence[np.ndarray], depth_scales: Sequence[float], worst: Callable, table: float
+) -> Cause | None:
+    """The fewest common slips that bring all tables right."""
+    best: tuple[int, float, tuple[_Change, ...]] | None = None
+    for changes in _COMBINED:
+        made = _made(changes)
+        if best is not None and len(made) > best[0]:
+            break
+        scale = changes[-1].scale
+
+        def changed(c: int, changes: tuple[_Change, ...] = changes) -> np.ndarray:
+            T = poses[c]
+            for change in changes:
+                T = change.pose(T)
+            return T
+
+        score = worst(bad, changed, scale)
+        if score < CLOSE and (best is None or score < best[1]):
+            best = len(made), score, made
+    if best is None:
+        return None
+    parts = [_depth_name(c, depth_scales[bad[0]]) if c.scale != 1 else (c.name, c.remedy) for c in best[2]]
+    where = f"z = {table:g}"
+    return Cause(
+        f"{' and '.join(p[0] for p in parts)} puts the table at {where}", "; ".join(p[1] for p in parts), tuple(bad)
+    )
+
+
+def _depth_name(change: _Change, depth_scale: float) -> tuple[str, str]:
+    right = depth_scale * change.scale
+    far = f"{1 / change.scale:g} times too far" if change.scale < 1 else f"{change.scale:g} times too near"
+    return f"depth is {far}: depth_scale {right:g}", f"set depth_scale to {right:g} in cameras.json"
+
+
+def _swapped(bad: Sequence[int], names: Sequence[str], poses: Sequence[np.ndarray], worst: Callable) -> Cause | None:
+    """The exchange of fewest poses that brings all tables right."""
+    found = []
+    for order in exchanges(bad):
+        moved = [c for c in bad if order[c] != c]
+        score = worst(bad, lambda c, order=order: poses[order[c]])
+        if score < 0.5 * CLOSE:
+            found.append((len(moved), score, order, moved))
+    if not found:
+        return None
+    _, _, order, moved = min(found, key=lambda f: f[:2])
+    return swap_cause(order, moved, names)
+
+
+def swap_cause(order: dict[int, int], moved: Sequence[int], names: Sequence[str]) -> Cause:
+    """That cameras have each other's poses: camera c that of `order[c]`."""
+    if len(moved) == 2:
+        text = f"{names[moved[0]]} and {names[moved[1]]} swapped: each has the other's pose"
+    else:
+        text = "poses exchanged: " + ", ".join(
+            f"{names[c]} has that of another, {names[order[c]]}'s fits" for c in moved
+        )
+    return Cause(text, "exchange them in cameras.json, or rename the folders", tuple(moved))
+
+
+def exchanges(cameras: Sequence[int]) -> list[dict[int, int]]:
+    """All ways to exchange the poses of cameras: which camera's pose each of them gets. None changes nothing."""
+    if len(cameras) <= MOST_PERMUTED:
+        return [dict(zip(cameras, order, strict=True)) for order in permutations(cameras) if order != tuple(cameras)]
+    same = {c: c for c in cameras}
+    return [same | {a: b, b: a} for a, b in combinations(cameras, 2)]
+
+
+def _scaled(
+    bad: Sequence[int], faults: Sequence[Fault], poses: Sequence[np.ndarray], names: Sequence[str], table: float
+) -> Cause | None:
+    """Depth (or the board) off by some percent, or a table at another height: both leave the table level."""
+    if any(faults[c].tilt > LEVEL or faults[c].above + faults[c].offset <= 0 for c in bad):
+        return None
+    offset = np.array([faults[c].offset for c in bad])
+    height = float(offset.mean())
+    true_above = np.array([faults[c].above for c in bad]) + offset
+    # depth times 1 + e puts a table that is `true_above` below the camera e times that too low
+    e = -float((offset / true_above).mean())
+    by_scale = float(np.abs(offset + e * true_above).max())
+    by_height = float(np.abs(offset - height).max())
+    scale_text = f"depth or board size off by {100 * e:+.1f} %"
+    height_text = f"the table lies {1000 * abs(height):.0f} mm {'above' if height > 0 else 'below'} z = {table:g}"
+    fits = []
+    if by_scale < 0.003 and SCALES[0] < abs(e) < SCALES[1]:
+        fits.append((by_scale, scale_text, "measure the board's squares again, check depth_scale"))
+    if by_height < 0.003 and (len(bad) > 1 or len(poses) == 1):
+        remedy = (
+            f"calibrate with the board on the table, or say where the table is: ingest.table = {table + height:.3f}"
+        )
+        fits.append((by_height, height_text, remedy))
+    if not fits:
+        return None
+    fits.sort()
+    if len(fits) == 2 and len(bad) > 1 and fits[0][0] < 0.5 * fits[1][0]:
+        fits = fits[:1]
+    who = "" if len(bad) == len(poses) else f" in {listed([names[c] for c in bad])}"
+    return Cause(", or ".join(f[1] for f in fits) + who, "; or ".join(f[2] for f in fits), tuple(bad))

@@ -1,0 +1,96 @@
+"""Outlines of what stands on the table: in depth against edges in colour, and of one camera against another's."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.planes import Plane, Rays
+
+STANDS_OUT = 0.012
+"""What is higher above the table than this share of its depth stands on it; noise and flying pixels do not reach it."""
+TALLEST = 0.4
+"""Higher above the table (m) is no longer the scene."""
+REACH = 0.08
+"""Shifts up to this share of the width are tried."""
+FEWEST = 60
+"""Pixels of outline that are needed to match it."""
+CLEAR = 3.0
+"""A match counts if it stands this many deviations above chance."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """How depth has to be moved to lie on colour."""
+
+    x: int
+    """Pixels to the right."""
+    y: int
+    """Pixels down."""
+    gain: float
+    """How much better the edges fit there than without a shift."""
+
+
+def standing(depth: np.ndarray, camera: Camera, rays: Rays, table: Plane) -> np.ndarray:
+    """Mask [H, W] of the readings of a depth image (in the camera's units) that lie above the table, of any pose."""
+    import cv2
+
+    slope = (rays.rays @ table.normal).reshape(rays.shape)
+    down = _between(rays.rows[:: rays.shape[1]], camera.height)
+    across = _between(rays.columns[: rays.shape[1]], camera.width)
+    metres = depth * np.float32(camera.depth_scale)
+    height = table.distance - metres * (down @ slope.astype(np.float32) @ across.T)
+    mask = (depth > 0) & (height > STANDS_OUT * metres) & (height < TALLEST)
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+
+
+def _between(nodes: np.ndarray, length: int) -> np.ndarray:
+    """Linear interpolation [length, nodes] from values at nodes to every pixel."""
+    at = np.arange(length)
+    return np.stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))], 1).astype(np.float32)
+
+
+def match_outlines(masks: list[np.ndarray], colors: list[np.ndarray]) -> Shift | None:
+    """The shift that best lays the outlines of masks [H, W] on the edges of colour images [H, W, 3].
+
+    None where there is no outline, or none that stands out in colour.
+    """
+    import cv2
+
+    reach = max(3, round(REACH * masks[0].shape[1]))
+    total, count = np.zeros((2 * reach + 1, 2 * reach + 1)), 0
+    for mask, color in zip(masks, colors, strict=True):
+        inner = mask.astype(np.uint8)
+        outline = mask & (cv2.erode(inner, np.ones((3, 3), np.uint8), borderValue=1) == 0)
+        if outline.sum() < FEWEST:
+            continue
+        edges = _edges(color)
+        padded = np.pad(edges, reach, constant_values=edges.mean())
+        left, top, wide, high = cv2.boundingRect(outline.astype(np.uint8))
+        around = padded[top : top + high + 2 * reach, left : left + wide + 2 * reach]
+        part = outline[top : top + high, left : left + wide]
+        total += cv2.matchTemplate(around, part.astype(np.float32), cv2.TM_CCORR)
+        count += int(outline.sum())
+    if not count:
+        return None
+    fit = cv2.GaussianBlur(total / count, (0, 0), 0.8)
+    row, column = np.unravel_index(int(fit.argmax()), fit.shape)
+    middle = float(np.median(fit))
+    deviation = 1.48 * float(np.median(np.abs(fit - middle)))
+    if fit.max() < middle + CLEAR * max(deviation, 1e-6):
+        return None
+    # noise moves the top of a broad hill by a pixel or two, which says nothing
+    gain = float((fit.max() - middle) / max(fit[reach, reach] - middle, 0.1 * (fit.max() - middle)))
+    return Shift(int(column) - reach, int(row) - reach, gain)
+
+
+def _edges(color: np.ndarray) -> np.ndarray:
+    """Strength of edges [H, W] in 0..1, strong ones alike: a shadow shall not outweigh an outline."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(np.ascontiguousarray(color), (0, 0), 1.0)
+    steps = [np.abs(cv2.Sobel(smooth, cv2.CV_16S, *along, ksize=3)) for along in ((1, 0), (0, 1))]
+    red, green, blue = cv2.split(steps[0] + steps[1])
+    strength = cv2.max(cv2.max(red, green), blue).astype(np.float32)
+    top = float(np.percentile(strength[::4, ::4], 98))
+    return np.minimum(strength / np.float32(max(top, 1.0)), np.float32(1))

@@ -1,0 +1,78 @@
+"""The checks of geometry in `ingest`: which frames they look at, what is refused, and how they are kept and told."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.recording.checks import Check, Finding, grouped
+from piegraph_cli.recording.geometry import View, check_geometry
+from piegraph_cli.recording.images import ImageStack
+from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.stages.images import cameras_of, color_of, depth_of
+from piegraph_cli.workspace.artifact import Artifact
+
+EMPTY_FRAMES = 5
+"""So many frames without depth are passed over at either end."""
+
+
+def check_frames(
+    arrays: dict[str, np.ndarray], params: IngestParams, folder: Path
+) -> tuple[dict[str, np.ndarray], str, list[str]]:
+    """The checks of a sequence's frames: as datasets, in a word or two, and as warnings.
+
+    Raises `DataError` with the cameras, figures and causes where one is bad and not among those to accept.
+    """
+    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+    color, depth = color_of(frames), depth_of(frames)
+    chosen = _chosen(depth)
+    views = [
+        View(camera, [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
+        for c, camera in enumerate(cameras_of(frames))
+    ]
+    checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table)
+    bad = [f for f in grouped([c for c in checks if c.verdict == "bad"]) if f.name not in params.accept]
+    if bad:
+        raise _refused(bad, folder)
+    found = grouped(checks)
+    warnings = [f"geometry: {f.text}" + (f"\n  try: {f.remedy}" if f.remedy else "") for f in found]
+    word = "; ".join(f"{f.checks[0].verdict}: {f.name} of {', '.join(f.cameras)}" for f in found) or "good"
+    return _datasets(checks), word, warnings
+
+
+def _chosen(depth: ImageStack) -> list[int]:
+    """The first and the last frame in which all cameras have depth, and two between."""
+    every = list(range(len(depth)))
+
+    def seen(frame: int) -> bool:
+        return all(depth.depth(frame, c).any() for c in range(depth.cameras))
+
+    first = next((f for f in every[:EMPTY_FRAMES] if seen(f)), 0)
+    last = next((f for f in every[: -EMPTY_FRAMES - 1 : -1] if seen(f)), every[-1])
+    return sorted({first, first + (last - first) // 3, first + 2 * (last - first) // 3, last})
+
+
+def _refused(bad: Sequence[Finding], folder: Path) -> DataError:
+    """The error that names file, cameras, figures and causes, and what to do."""
+    files = (folder / "cameras.json", folder.parent / "cameras.json")
+    where = next((str(path) for path in files if path.is_file()), str(folder))
+    remedies = list(dict.fromkeys(f.remedy for f in bad if f.remedy))
+    names = ",".join(dict.fromkeys(f.name for f in bad))
+    hint = "; ".join([*remedies, f"or take it as it is: ingest.accept = {names}"])
+    return DataError("the geometry is wrong: " + "; ".join(f.text for f in bad), where, hint)
+
+
+def _datasets(checks: Sequence[Check]) -> dict[str, np.ndarray]:
+    columns = {
+        "name": [c.name for c in checks],
+        "camera": [", ".join(c.cameras) for c in checks],
+        "unit": [c.unit for c in checks],
+        "verdict": [c.verdict for c in checks],
+        "text": [c.text for c in checks],
+        "cause": [c.cause for c in checks],
+        "remedy": [c.remedy for c in checks],
+    }
+    numbers = {"figure": [c.figure for c in checks], "threshold": [c.threshold for c in checks]}
+    texts = {f"check_{name}": np.array(column, dtype=str) for name, column in columns.items()}
+    return texts | {f"check_{name}": np.array(column, float) for name, column in numbers.items()}

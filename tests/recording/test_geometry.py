@@ -1,0 +1,220 @@
+"""Checks of geometry: silent where all is well, and the right cause for each way in which recordings are wrong."""
+
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from piegraph_cli.environments.rig import camera_rig, look_at
+from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.checks import grouped
+from piegraph_cli.recording.geometry import check_geometry
+from tests.recording.table_scene import (
+    ARM,
+    BLOCK,
+    WORKSPACE,
+    Box,
+    boxes_on_a_table,
+    make_views,
+    sample,
+    with_depth,
+    with_poses,
+)
+
+SUBSETS = [(0, 1, 2, 3), (0, 2), (1, 2, 3), (3,)]
+FLIP = np.diag([1.0, -1, -1, 1])
+
+
+def told(views, table=0.0):
+    return [(f.checks[0].verdict, f.text) for f in grouped(check_geometry(views, WORKSPACE, table))]
+
+
+@pytest.mark.parametrize("chosen", SUBSETS, ids=str)
+@pytest.mark.parametrize("sequence", range(4))
+def test_the_sample_is_good(sequence, chosen):
+    assert told([sample(sequence)[k] for k in chosen]) == []
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.006, 0.01])
+@pytest.mark.parametrize(
+    "boxes",
+    [
+        (BLOCK, BLOCK),
+        ((*BLOCK, ARM), (*BLOCK, ARM)),
+        ((), ()),
+        ((Box((0, 0), (0.4, 0.016, 0.016)),),) * 2,
+        ((Box((0.05, 0), (0.3, 0.3, 0.003), (200, 40, 40)),),) * 2,
+        ((Box((0.1, -0.05), (0.15, 0.15, 0.2)), *BLOCK),) * 2,
+    ],
+    ids=["block", "arm", "nothing", "rope", "cloth", "large box"],
+)
+def test_good_recordings_are_good_whatever_the_noise(noise, boxes):
+    views = make_views(camera_rig(320, 240), noise, boxes, seed=1)
+    for chosen in SUBSETS:
+        assert told([views[k] for k in chosen]) == []
+
+
+def test_cameras_of_several_sizes_places_and_units_are_good():
+    rig = camera_rig(320, 240)
+    wide = camera_rig(640, 480)[1]
+    above = replace(rig[2], T_world_camera=look_at(1.0, 1.4, 0.9))
+    fine = replace(camera_rig(200, 150)[3], depth_scale=0.00025)
+    assert told(make_views([rig[0], wide, above, fine])) == []
+
+
+def rotated(axis, degrees):
+    T = np.eye(4)
+    T[:3, :3] = cv2.Rodrigues(np.radians(degrees) * np.eye(3)[axis])[0]
+    return T
+
+
+def moved(*by):
+    T = np.eye(4)
+    T[:3, 3] = by
+    return T
+
+
+def stretched(T, factor):
+    changed = T.copy()
+    changed[:3, 3] *= factor
+    return changed
+
+
+def poses(change, only=None):
+    return lambda views: with_poses(views, lambda k, T: change(T) if only in (None, k) else T)
+
+
+def depths(change, only=None):
+    return lambda views: with_depth(views, lambda k, d: change(d) if only in (None, k) else d)
+
+
+def swapped(*order):
+    return lambda views: with_poses(views, lambda k, T: views[order[k]].camera.T_world_camera)
+
+
+def scales(scale):
+    return lambda views: [replace(v, camera=replace(v.camera, depth_scale=scale)) for v in views]
+
+
+INVERSE = "inverting T_world_camera puts the table at z = 0"
+OPENGL = "OpenGL's axes. puts the table at z = 0"
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+TROUBLES = {
+    "all inverted": (poses(np.linalg.inv), INVERSE),
+    "one inverted": (poses(np.linalg.inv, 2), f"^cam2: .*{INVERSE}"),
+    "cam0 and cam2 swapped": (swapped(2, 1, 0, 3), "cam0 and cam2 swapped"),
+    "cam1 and cam2 swapped": (swapped(0, 2, 1, 3), "cam1 and cam2 swapped"),
+    "three exchanged": (
+        swapped(1, 2, 0, 3),
+        "poses exchanged: cam0 .* cam2's fits, cam1 .* cam0's fits, cam2 .* cam1's",
+    ),
+    "depth +5 %": (depths(lambda d: d * 1.05), r"depth or board size off by \+(4.9|5.0)"),
+    "depth +2 %": (depths(lambda d: d * 1.02), r"depth or board size off by \+(1.9|2.0)"),
+    "board +5 %": (poses(lambda T: stretched(T, 1.05)), r"depth or board size off by -4.[78]"),
+    "board -8 %": (poses(lambda T: stretched(T, 0.92)), r"depth or board size off by \+8.[678]"),
+    "depth of one +5 %": (depths(lambda d: d * 1.05, 1), r"depth or board size off by \+(4.9|5.0) % in cam1"),
+    "table 10 mm high": (poses(lambda T: moved(0, 0, 0.01) @ T), "the table lies 10 mm above z = 0"),
+    "table 30 mm low": (poses(lambda T: moved(0, 0, -0.03) @ T), "the table lies 30 mm below z = 0"),
+    "OpenGL": (poses(lambda T: T @ FLIP), OPENGL),
+    "OpenGL inverted": (poses(lambda T: np.linalg.inv(T @ FLIP)), f"inverting T_world_camera and .*{OPENGL}"),
+    "millimetres": (poses(lambda T: stretched(T, 1000)), "taking the poses as millimetres puts the table at z = 0"),
+    "millimetres inverted": (
+        poses(lambda T: stretched(np.linalg.inv(T), 1000)),
+        "poses as millimetres and inverting T_world_camera puts",
+    ),
+    "z down": (poses(lambda T: FLIP @ T), "its z points down, puts the table at z = 0"),
+    "z down inverted": (poses(lambda T: np.linalg.inv(FLIP @ T)), "inverting .* its z points down, puts"),
+    "y up": (poses(lambda T: Y_UP @ T), "its y points up, puts the table at z = 0"),
+    "quarter millimetres": (depths(lambda d: d * 4.0), "depth is 4 times too far: depth_scale 0.00025 puts the table"),
+    "tenths of millimetres": (
+        depths(lambda d: d * 10.0),
+        "depth is 10 times too far: depth_scale 0.0001 puts the table",
+    ),
+    "4 mm": (depths(lambda d: d / 4.0), "depth is 4 times too near: depth_scale 0.004 puts the table"),
+    "depth scale 1": (scales(1.0), "depth is 1000 times too far: depth_scale 0.001 puts the table"),
+    "depth scale 1e-6": (scales(1e-6), "depth is 1000 times too near: depth_scale 0.001 puts the table"),
+    "whole metres": (depths(lambda d: np.rint(d / 1000)), "no reading above [1-3] units; metres or the like"),
+    "one pitched by 1.5 deg": (poses(lambda T: T @ rotated(0, 1.5), 1), "the pose of cam1 is off"),
+    "one pitched by 3 deg": (poses(lambda T: T @ rotated(0, 3), 1), "the pose of cam1 is off"),
+    "one yawed by 3 deg": (poses(lambda T: T @ rotated(1, 3), 1), "cam1 alone disagrees|the pose of cam1 is off"),
+    "one rolled by 6 deg": (poses(lambda T: T @ rotated(2, 6), 1), "the pose of cam1 is off"),
+    "all pitched by 3 deg": (poses(lambda T: T @ rotated(0, 3)), "the pose of cam0, cam1, cam2 and cam3 is off"),
+    "one 80 mm aside": (poses(lambda T: moved(0.06, 0.05, 0) @ T, 1), "cam1 alone disagrees"),
+    "depth 15 px right": (depths(lambda d: np.roll(d, 15, 1)), r"moving depth by -1[456], -?[012] px"),
+    "depth 8 px left": (depths(lambda d: np.roll(d, -8, 1)), r"moving depth by [789], -?[012] px"),
+    "depth 9 px down": (depths(lambda d: np.roll(d, 9, 0)), r"moving depth by -?[012], -([789]|10) px"),
+    "depth of one 20 px": (depths(lambda d: np.roll(d, 20, 1), 3), r"^cam3: .*moving depth by -(19|20|21), -?[012] px"),
+}
+
+
+@pytest.mark.parametrize("source", [boxes_on_a_table, sample])
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_each_trouble_is_bad_and_its_cause_is_named(trouble, source):
+    spoil, cause = TROUBLES[trouble]
+    found = told(spoil(source()))
+    assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+ALONE = ["all inverted", "OpenGL", "millimetres", "z down", "quarter millimetres", "depth +5 %", "depth 15 px right"]
+
+
+@pytest.mark.parametrize("trouble", ALONE)
+def test_one_camera_is_enough(trouble):
+    spoil, cause = TROUBLES[trouble]
+    found = told(spoil(boxes_on_a_table()[:1]))
+    assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+def test_one_camera_cannot_tell_a_high_table_from_a_wrong_scale_and_says_so():
+    [(verdict, text)] = told(TROUBLES["table 10 mm high"][0](boxes_on_a_table()[:1]))
+    assert verdict == "bad"
+    assert "the table lies 10 mm above z = 0" in text
+    assert "depth or board size off by -1." in text
+
+
+def test_a_table_at_another_height_is_good_where_that_is_said():
+    high = with_poses(boxes_on_a_table(), lambda k, T: moved(0, 0, 0.1) @ T)
+    assert told(high)[0][0] == "bad"
+    assert told(high, table=0.1) == []
+
+
+def test_small_slips_are_doubtful():
+    found = told(with_poses(boxes_on_a_table(), lambda k, T: moved(0, 0, 0.0055) @ T))
+    assert {verdict for verdict, _ in found} == {"doubtful"}
+
+
+def test_no_table_in_view_is_doubtful():
+    rng = np.random.default_rng(0)
+    noise = with_depth(boxes_on_a_table(), lambda k, d: rng.integers(500, 900, d.shape))
+    found = told(noise)
+    assert ("doubtful", "cam0, cam1, cam2 and cam3: no table is found in depth") in found
+    assert all(verdict == "doubtful" for verdict, _ in found)
+
+
+def test_a_wall_seen_by_a_camera_that_looks_past_the_table_is_doubtful():
+    T = np.array([[0.0, 0, 1, 0.5], [-1, 0, 0, 0], [0, -1, 0, 0.3], [0, 0, 0, 1]])  # along +x, level
+    camera = Camera("side", 64, 48, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.zeros(5), T)
+    view = replace(
+        boxes_on_a_table()[0],
+        camera=camera,
+        depth=[np.full((48, 64), 1500, np.uint16)] * 2,
+        color=[np.full((48, 64, 3), 120, np.uint8)] * 2,
+    )
+    assert {verdict for verdict, _ in told([view])} == {"doubtful"}
+
+
+def test_a_mirrored_or_bent_rotation_is_bad():
+    for change in (np.diag([1.0, 1, -1, 1]), np.diag([1.0, 1, 1.01, 1])):
+        found = told(with_poses(boxes_on_a_table()[:2], lambda k, T, change=change: T @ change))
+        assert found[0][0] == "bad"
+        assert "the rotation of T_world_camera is" in found[0][1]
+
+
+def test_blur_and_exposure_are_doubtful_only():
+    dark = [replace(v, color=[np.zeros_like(c) for c in v.color]) for v in boxes_on_a_table()]
+    assert [(verdict, "black or white" in text) for verdict, text in told(dark)] == [("doubtful", True)]
+    dull = [replace(v, color=[cv2.GaussianBlur(c, (0, 0), 5) for c in v.color]) for v in boxes_on_a_table()]
+    assert {verdict for verdict, _ in told(dull)} == {"doubtful"}
+    assert "after a blur" in told(dull)[0][1]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
@@ -13,13 +13,30 @@ if TYPE_CHECKING:
 
 
 def _units(run: "Run") -> Sequence[Unit]:
-    """The sequences of the recording; those that were read, where it is gone."""
-    from piegraph_cli.recording.layout import list_sequences
+    """The sequences of the recording; those that were read, where it is gone. Some are left out."""
+    from piegraph_cli.recording.layout import calibration_sequences, list_sequences
 
-    recording = recording_of(run)
+    recording, exclude = recording_of(run), set(run.params(STAGE.name).exclude)
     if not recording.exists() and (run.folder / "frames").is_dir():
-        return sorted(path.stem for path in (run.folder / "frames").glob("*.h5"))
-    return [folder.name for folder in list_sequences(recording)]
+        read = sorted(path.stem for path in (run.folder / "frames").glob("[!.]*.h5"))
+        return [name for name in read if name not in exclude]
+    folders = list_sequences(recording)
+    names = [folder.name for folder in folders]
+    unknown = sorted(exclude - {*names, ""})
+    if unknown:
+        raise UsageError(
+            f"ingest.exclude: no sequence {unknown[0]}", str(recording), f"sequences are {', '.join(names)}"
+        )
+    exclude |= calibration_sequences(folders)
+    left = [name for name in names if name not in exclude]
+    if not left:
+        raise DataError("every sequence is left out", str(recording), "record one without the board, or exclude fewer")
+    return left
+
+
+def _settings(run: "Run", unit: str) -> IngestParams:
+    """One sequence does not depend on which others are left out."""
+    return run.params(STAGE.name).model_copy(update={"exclude": ()})
 
 
 STAGE = Stage(
@@ -28,9 +45,10 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=1,
+    version=2,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
+    settings=_settings,
 )
 
 

@@ -9,19 +9,19 @@ RECORDING/SEQUENCE/truth.h5               simulated recordings only; read by sco
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera, DepthView
-from piegraph_cli.recording.numbers import by_number
+from piegraph_cli.recording.numbers import Number, by_number
 
 LAYOUT_VERSION = 1
 COEFFICIENTS = (4, 5, 8, 12, 14)
 """How many numbers of distortion OpenCV knows; the first of each are the same."""
-COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
+SUFFIXES = {"color": (".jpg", ".jpeg", ".png"), "depth": (".png",)}
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -98,7 +98,7 @@ def calibration_sequences(sequences: list[Path]) -> set[str]:
             found.add(json.loads(path.read_text())["calibration_sequence"])
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             continue  # reading the sequence says what is wrong
-    return {name for name in found if isinstance(name, str)}
+    return {path.name for path in sequences} & {name for name in found if isinstance(name, str)}
 
 
 def read_cameras_file(path: Path) -> CamerasFile:
@@ -221,24 +221,24 @@ def read_times(sequence: Path, camera: Camera) -> np.ndarray:
 
 def frame_files(sequence: Path, camera: Camera) -> list[tuple[Path, Path]]:
     """(colour, depth) image paths of one camera in the order of the numbers in their names; each has its partner."""
-    folder = sequence / camera.name
-    color = by_number([p for p in _files(folder / "color") if p.suffix.lower() in COLOR_SUFFIXES])
-    depth = by_number([p for p in _files(folder / "depth") if p.suffix.lower() == ".png"])
+    color, depth = image_files(sequence, camera, "color"), image_files(sequence, camera, "depth")
     odd = sorted(color.keys() ^ depth.keys())
     if odd:
         raise DataError(
             f"{len(color)} colour and {len(depth)} depth images; "
             f"first unpaired frame {(color.get(odd[0]) or depth[odd[0]]).stem}",
-            str(folder),
+            str(sequence / camera.name),
             "each frame needs color/NNNNNN.jpg and depth/NNNNNN.png",
         )
     return [(path, depth[number]) for number, path in color.items()]
 
 
-def _files(folder: Path) -> list[Path]:
+def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"]) -> dict[Number, Path]:
+    """The colour or depth images of one camera by the numbers in their names, in their order."""
+    folder = sequence / camera.name / kind
     if not folder.is_dir():
         raise DataError("folder is missing", str(folder), "see docs/formats.md for the layout")
-    return [p for p in _entries(folder) if p.is_file()]
+    return by_number([p for p in _entries(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
 
 
 def read_color(path: Path, camera: Camera) -> bytes:

@@ -62,9 +62,13 @@ def recording_of(run: "Run") -> Path:
 
 def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
     """Read one sequence of the recording folder."""
+    from piegraph_cli.recording.layout import calibration_sequences, list_sequences
     from piegraph_cli.recording.sequence import read_sequence
 
     folder = recording_of(context.run) / str(context.unit)
     arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
     time, cameras = arrays["time"], arrays["camera_name"]
+    if context.unit == context.run.units(STAGE)[0]:
+        board = calibration_sequences(list_sequences(folder.parent))
+        warnings += [f"{name} is left out: by cameras.json it shows the calibration board" for name in sorted(board)]
     return Output(arrays, f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s", warnings)

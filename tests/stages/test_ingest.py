@@ -322,10 +322,12 @@ def test_sequences_are_left_out(recording, tmp_path):
     assert open_run(run).units(STAGES["ingest"]) == ["seq 1"]
 
 
-def test_the_sequence_of_the_board_is_left_out(recording, tmp_path):
+def test_the_sequence_of_the_board_is_left_out_and_said_once(recording, tmp_path, caplog):
     entries = json.loads((recording / "cameras.json").read_text())
     (recording / "cameras.json").write_text(json.dumps(entries | {"calibration_sequence": "seq 0"}))
-    assert [o.unit for o in ingest(recording, tmp_path / "run")] == ["seq 1"]
+    shutil.copytree(recording / "seq 1", recording / "seq 2")
+    assert [o.unit for o in ingest(recording, tmp_path / "run")] == ["seq 1", "seq 2"]
+    assert caplog.text.count("seq 0 is left out: by cameras.json it shows the calibration board") == 1
 
 
 def test_resampling_takes_the_nearest_frames_once_each():

@@ -16,13 +16,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera, DepthView
+from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.numbers import Number, by_number
 
 LAYOUT_VERSION = 1
 COEFFICIENTS = (4, 5, 8, 12, 14)
 """How many numbers of distortion OpenCV knows; the first of each are the same."""
 SUFFIXES = {"color": (".jpg", ".jpeg", ".png"), "depth": (".png",)}
-PACKAGE = Path(__file__).resolve().parents[1]
 
 
 class CameraEntry(BaseModel):
@@ -54,32 +54,6 @@ class CamerasFile(BaseModel):
     """The sequence that shows the board, left out of runs."""
 
 
-def list_sequences(recording: Path) -> list[Path]:
-    """The sequence folders of a recording, sorted by name: folders that hold at least one camera folder."""
-    if not recording.is_dir() and recording.is_relative_to(PACKAGE):
-        raise DataError(
-            "the sample recording is not part of the installed package",
-            str(recording),
-            "get sample_data of the repository, then add --set ingest.recording=sample_data/tblock",
-        )
-    if not recording.is_dir():
-        raise DataError("no such recording folder", str(recording), "give the folder that holds cameras.json")
-    folders = [path for path in _entries(recording) if path.is_dir()]
-    sequences = sorted(p for p in folders if any((c / "color").is_dir() for c in _entries(p)))
-    if not sequences:
-        raise DataError(
-            "no sequence found",
-            str(recording),
-            "expected SEQUENCE/CAMERA/color/000000.jpg below it; see docs/formats.md",
-        )
-    return sequences
-
-
-def _entries(folder: Path) -> list[Path]:
-    """What is in a folder; names that begin with a dot are nobody's: desktops and network disks leave them."""
-    return [path for path in folder.iterdir() if not path.name.startswith(".")]
-
-
 def cameras_file(sequence: Path) -> Path:
     """The cameras.json of a sequence: its own, or else its recording's. Raises `DataError` where there is neither."""
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
@@ -88,17 +62,6 @@ def cameras_file(sequence: Path) -> Path:
             "cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`"
         )
     return path
-
-
-def calibration_sequences(sequences: list[Path]) -> set[str]:
-    """Names of those of a recording's sequences that show the board, by every cameras.json that can be read."""
-    found = set()
-    for path in (sequences[0].parent / "cameras.json", *(s / "cameras.json" for s in sequences)):
-        try:
-            found.add(json.loads(path.read_text())["calibration_sequence"])
-        except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            continue  # reading the sequence says what is wrong
-    return {path.name for path in sequences} & {name for name in found if isinstance(name, str)}
 
 
 def read_cameras_file(path: Path) -> CamerasFile:
@@ -238,7 +201,7 @@ def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"])
     folder = sequence / camera.name / kind
     if not folder.is_dir():
         raise DataError("folder is missing", str(folder), "see docs/formats.md for the layout")
-    return by_number([p for p in _entries(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
+    return by_number([p for p in entries_of(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
 
 
 def read_color(path: Path, camera: Camera) -> bytes:

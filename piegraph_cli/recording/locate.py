@@ -11,6 +11,7 @@ from piegraph_cli.files import atomic_file
 from piegraph_cli.recording import layout
 from piegraph_cli.recording.calibration import Board, Pose, check_size, depth_factor, find_corners, locate_camera
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.folders import list_sequences
 from piegraph_cli.recording.images import decode_color
 from piegraph_cli.recording.numbers import number_of
 from piegraph_cli.recording.registration import register_depth
@@ -58,7 +59,7 @@ def calibrate(recording: Path, sequence: str | None, board: Board) -> Calibratio
     Where a board is not found or fits badly, its layout before OpenCV 4.6 is tried as well. cameras.json is replaced
     once all cameras are located; before that nothing is written.
     """
-    folders = {folder.name: folder for folder in layout.list_sequences(recording)}
+    folders = {folder.name: folder for folder in list_sequences(recording)}
     if sequence is not None and sequence not in folders:
         raise DataError(f"no sequence {sequence}", str(recording), f"one of {', '.join(folders)}")
     folder = folders[sequence] if sequence is not None else next(iter(folders.values()))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def _units(run: "Run") -> Sequence[Unit]:
     """The sequences of the recording; those that were read, where it is gone. Some are left out."""
-    from piegraph_cli.recording.layout import calibration_sequences, list_sequences
+    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
 
     recording, exclude = recording_of(run), set(run.params(STAGE.name).exclude)
     if not recording.exists() and (run.folder / "frames").is_dir():
@@ -62,7 +62,7 @@ def recording_of(run: "Run") -> Path:
 
 def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
     """Read one sequence of the recording folder."""
-    from piegraph_cli.recording.layout import calibration_sequences, list_sequences
+    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
     from piegraph_cli.recording.sequence import read_sequence
 
     folder = recording_of(context.run) / str(context.unit)

@@ -19,12 +19,12 @@ def environments() -> dict[str, str]:
 
 def recipes() -> dict[str, str]:
     """Recipes that come with the package, for `run`."""
-    return {path.stem: _first_line(path) for path in sorted(SHIPPED.glob("*.toml"))}
+    return {path.stem: _first_line(path) for path in sorted(SHIPPED.glob("[!.]*.toml"))}
 
 
 def experiments() -> dict[str, str]:
     """Experiments of the paper, for `reproduce`."""
-    return {path.stem: _first_line(path) for path in sorted((SHIPPED / "experiments").glob("*.toml"))}
+    return {path.stem: _first_line(path) for path in sorted((SHIPPED / "experiments").glob("[!.]*.toml"))}
 
 
 KINDS = {"models": models, "environments": environments, "recipes": recipes, "experiments": experiments}

@@ -42,16 +42,22 @@ def calibrate(
 ) -> None:
     """Locate the cameras by a ChArUco board.
 
-    The board lies on the table; its middle becomes the origin of the world, z up. Fills T_world_camera in cameras.json.
+    The board lies on the table; its middle becomes the origin of the world, z up. Fills T_world_camera in cameras.json,
+    and notes there which sequence shows the board: runs leave it out.
     """
     from piegraph_cli.recording.calibration import Board
     from piegraph_cli.recording.locate import calibrate as locate
 
-    results = locate(recording, sequence, Board(columns, rows, square, marker, dictionary))
+    found = locate(recording, sequence, Board(columns, rows, square, marker, dictionary))
     lines = [
-        f"{name:12s} {error:5.2f} px{'  poor: check K and distortion' if poor else ''}" for name, error, poor in results
+        f"{one.name:12s} {one.error:5.2f} px{''.join(f'  {text}' for text in one.warnings)}" for one in found.cameras
     ]
-    emit(Report({"cameras": {name: {"error_px": error} for name, error, _ in results}}, lines), as_json)
+    lines += ["the board has the layout from before OpenCV 4.6"] if found.board.legacy else []
+    lines += [f"sequence {found.sequence} shows the board: runs leave it out"]
+    cameras = {
+        one.name: {"error_px": one.error, "frames_px": one.frames, "warnings": one.warnings} for one in found.cameras
+    }
+    emit(Report({"cameras": cameras, "sequence": found.sequence, "legacy_board": found.board.legacy}, lines), as_json)
 
 
 def doctor(

@@ -59,12 +59,12 @@ def label(image: np.ndarray, text: str) -> np.ndarray:
 
 
 def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
-    """Images of one size laid out in rows, white between them."""
-    height, width = rows[0][0].shape[:2]
+    """Images laid out in rows, each in a field as large as the largest, white between them."""
+    height, width = np.max([image.shape[:2] for row in rows for image in row], axis=0)
     columns = max(len(row) for row in rows)
     sheet = np.full((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
     for r, row in enumerate(rows):
         for c, image in enumerate(row):
             top, left = r * (height + gap), c * (width + gap)
-            sheet[top : top + image.shape[0], left : left + image.shape[1]] = image[:height, :width]
+            sheet[top : top + image.shape[0], left : left + image.shape[1]] = image
     return sheet

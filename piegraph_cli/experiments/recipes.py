@@ -23,7 +23,7 @@ FOLDER = SHIPPED / "experiments"
 
 def names() -> list[str]:
     """The experiments, in the order in which `all` runs them."""
-    return sorted(p.stem for p in FOLDER.glob("*.toml"))
+    return sorted(p.stem for p in FOLDER.glob("[!.]*.toml"))
 
 
 def load_experiment(

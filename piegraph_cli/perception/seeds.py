@@ -26,8 +26,8 @@ class ObjectSeed:
     """Where the object is in one frame, agreed on by the cameras."""
 
     frame: int
-    masks: np.ndarray
-    """[C, H, W] bool; a camera that does not see the object there has an empty mask."""
+    masks: Sequence[np.ndarray]
+    """[H, W] bool of each camera; one that does not see the object there has an empty mask."""
 
 
 def find_object(
@@ -42,7 +42,7 @@ def find_object(
 
     `images[camera][frame]` RGB uint8 [H, W, 3], `depths[camera][frame]` [H, W] in units of the camera's depth scale
     (0 = no reading), both read lazily; `hand_px` [F, C, 21, 2] (NaN where no hand is); `workspace` [3, 2] bounds (m).
-    Of several objects the largest away from the workspace's edge is taken. All cameras share one image size.
+    Of several objects the largest away from the workspace's edge is taken. Cameras may differ in image size.
     Raises DataError when nothing in the workspace stands out from the table in any frame tried.
     """
     frames = np.unique(np.linspace(0, len(hand_px) - 1, min(len(hand_px), MAX_TRIED)).astype(int))
@@ -146,8 +146,10 @@ def _opened(mask: np.ndarray) -> np.ndarray:
     return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)
 
 
-def _vote(views: Sequence[_View], workspace: np.ndarray, params: SegmentParams) -> tuple[np.ndarray | None, float]:
-    """Masks [C, H, W] of the object the views agree on (None: there is none) and its distance (m) from the hand."""
+def _vote(
+    views: Sequence[_View], workspace: np.ndarray, params: SegmentParams
+) -> tuple[list[np.ndarray] | None, float]:
+    """Masks [H, W], one a view, of the object the views agree on (None: there is none) and its distance (m) from the hand."""
     from scipy.ndimage import binary_closing, distance_transform_edt, label
 
     low, high = np.asarray(workspace, float)[:2].T
@@ -169,7 +171,7 @@ def _vote(views: Sequence[_View], workspace: np.ndarray, params: SegmentParams) 
     hand = np.logical_or.reduce([_cells(v.points[v.hand], low, shape) for v in views])
     clearance = float(away[hand].min()) if hand.any() else np.inf
     masks = [v.candidates & _at(away <= 2 * CELL, v.points, low) for v in views]
-    return np.stack(masks), clearance
+    return masks, clearance
 
 
 def _cells(points: np.ndarray, low: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -10,7 +10,7 @@ UNDISTORT_ITERATIONS = 20
 
 @dataclass(frozen=True)
 class Camera:
-    """One calibrated RGB-D camera; depth is registered to colour.
+    """One calibrated RGB-D camera; its depth is registered to colour, or `depth_view` says where it was seen from.
 
     The camera frame is OpenCV's: x right, y down, z forward. Depth is z in that frame.
     """
@@ -21,11 +21,13 @@ class Camera:
     K: np.ndarray
     """[3, 3] intrinsics in pixels."""
     distortion: np.ndarray
-    """[5] k1, k2, p1, p2, k3 (OpenCV order)."""
+    """[5, 8, 12 or 14] k1, k2, p1, p2, k3, then k4, k5, k6, then s1, s2, s3, s4, then the tilt x, y (OpenCV order)."""
     T_world_camera: np.ndarray
     """[4, 4] rigid transform, camera points to world points, metres."""
     depth_scale: float = 0.001
     """Metres per unit of a depth image."""
+    depth_view: "DepthView | None" = None
+    """The camera that saw the depth, where it is not registered to colour."""
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project world points [N, 3] (m) to pixels [N, 2] (column, row) and depth [N] (m, along the optical axis).
@@ -48,14 +50,50 @@ class Camera:
     def rays(self, pixels: np.ndarray) -> np.ndarray:
         """Undistorted viewing rays [N, 3] of pixels [N, 2] in the camera frame, scaled to z = 1."""
         pixels = np.asarray(pixels, np.float64).reshape(-1, 2)
-        focal, centre = self.K[[0, 1], [0, 1]], self.K[:2, 2]
-        bent = (pixels - centre) / focal
-        k1, k2, p1, p2, k3 = self.distortion
-        straight = bent
-        for _ in range(UNDISTORT_ITERATIONS):
-            x, y = straight.T
-            r2 = x**2 + y**2
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            shift = np.column_stack([2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y])
-            straight = (bent - shift) / radial[:, None]
-        return np.column_stack([straight, np.ones(len(straight))])
+        return straight_rays(pixels, self.K, self.distortion)
+
+
+@dataclass(frozen=True)
+class DepthView:
+    """The camera that saw depth images which are not registered to colour."""
+
+    width: int
+    height: int
+    K: np.ndarray
+    """[3, 3] intrinsics in pixels."""
+    distortion: np.ndarray
+    """As that of `Camera`."""
+    T_color_depth: np.ndarray
+    """[4, 4] rigid transform, points of the depth camera to points of the colour camera, metres."""
+
+
+def straight_rays(pixels: np.ndarray, K: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Undistorted viewing rays [N, 3], scaled to z = 1, of pixels [N, 2] of a camera with K [3, 3] and `distortion`."""
+    focal, centre = K[[0, 1], [0, 1]], K[:2, 2]
+    bent = (pixels - centre) / focal
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = np.pad(distortion, (0, 14 - len(distortion)))
+    if tilt_x or tilt_y:
+        bent = _untilted(bent, tilt_x, tilt_y)
+    straight = bent
+    for _ in range(UNDISTORT_ITERATIONS):
+        x, y = straight.T
+        r2 = x**2 + y**2
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        shift = np.column_stack(
+            [
+                2 * p1 * x * y + p2 * (r2 + 2 * x**2) + r2 * (s1 + r2 * s2),
+                p1 * (r2 + 2 * y**2) + 2 * p2 * x * y + r2 * (s3 + r2 * s4),
+            ]
+        )
+        straight = (bent - shift) / radial[:, None]
+    return np.column_stack([straight, np.ones(len(straight))])
+
+
+def _untilted(bent: np.ndarray, tilt_x: float, tilt_y: float) -> np.ndarray:
+    """Normalised image points [N, 2] as they would be on a sensor that is not tilted (rad) against the lens."""
+    about_x = np.array([[1, 0, 0], [0, np.cos(tilt_x), np.sin(tilt_x)], [0, -np.sin(tilt_x), np.cos(tilt_x)]])
+    about_y = np.array([[np.cos(tilt_y), 0, -np.sin(tilt_y)], [0, 1, 0], [np.sin(tilt_y), 0, np.cos(tilt_y)]])
+    turn = about_y @ about_x
+    tilt = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+    points = np.column_stack([bent, np.ones(len(bent))]) @ np.linalg.inv(tilt).T
+    return points[:, :2] / points[:, 2:]

@@ -23,6 +23,13 @@ def encode_masks(masks: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return join_images(cv2.imencode(".png", mask.astype(np.uint8) * 255, flags)[1].tobytes() for mask in masks)
 
 
+def encode_depth(depth: np.ndarray) -> bytes:
+    """A depth image uint16 [H, W] as PNG."""
+    import cv2
+
+    return cv2.imencode(".png", depth)[1].tobytes()
+
+
 def decode_color(data: np.ndarray) -> np.ndarray:
     """Encoded bytes uint8 [byte] of a checked colour image to RGB uint8 [H, W, 3]."""
     import cv2

@@ -3,21 +3,26 @@
 RECORDING/cameras.json                    intrinsics, distortion, depth scale, T_world_camera per camera
 RECORDING/SEQUENCE/cameras.json           optional, in place of the one above
 RECORDING/SEQUENCE/CAMERA/timestamps.txt  one time stamp in seconds per line, one line per frame
-RECORDING/SEQUENCE/CAMERA/color/000000.jpg (or .png), depth/000000.png (16 bit)
+RECORDING/SEQUENCE/CAMERA/color/000000.jpg (or .png), depth/000000.png (16 bit), by the number in their names
 RECORDING/SEQUENCE/truth.h5               simulated recordings only; read by scoring, never by a stage
 """
 
 import json
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.camera import Camera, DepthView
+from piegraph_cli.recording.folders import entries_of
+from piegraph_cli.recording.numbers import Number, by_number
 
 LAYOUT_VERSION = 1
-COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
+COEFFICIENTS = (4, 5, 8, 12, 14)
+"""How many numbers of distortion OpenCV knows; the first of each are the same."""
+SUFFIXES = {"color": (".jpg", ".jpeg", ".png"), "depth": (".png",)}
 
 
 class CameraEntry(BaseModel):
@@ -31,6 +36,11 @@ class CameraEntry(BaseModel):
     distortion: list[float] = [0.0] * 5
     depth_scale: float = Field(0.001, gt=0)
     T_world_camera: list[list[float]] | None = None
+    depth_width: int | None = Field(None, gt=0)
+    depth_height: int | None = Field(None, gt=0)
+    depth_K: list[list[float]] | None = None
+    depth_distortion: list[float] | None = None
+    T_color_depth: list[list[float]] | None = None
 
 
 class CamerasFile(BaseModel):
@@ -40,18 +50,22 @@ class CamerasFile(BaseModel):
 
     version: int = LAYOUT_VERSION
     cameras: dict[str, CameraEntry] = Field(min_length=1)
+    calibration_sequence: str | None = None
+    """The sequence that shows the board, left out of runs."""
 
 
-def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
-    """Cameras of a sequence, sorted by name, from its own cameras.json or else its recording's.
-
-    Without `posed` a missing `T_world_camera` is the identity. Raises `DataError` naming file, camera and field.
-    """
+def cameras_file(sequence: Path) -> Path:
+    """The cameras.json of a sequence: its own, or else its recording's. Raises `DataError` where there is neither."""
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
     if path is None:
         raise DataError(
             "cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`"
         )
+    return path
+
+
+def read_cameras_file(path: Path) -> CamerasFile:
+    """A cameras.json. Raises `DataError` naming the field that is wrong."""
     try:
         entries = CamerasFile.model_validate_json(path.read_text())
     except ValidationError as error:
@@ -67,72 +81,127 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
             str(path),
             "update piegraph",
         )
-    unposed = [name for name, entry in entries.cameras.items() if entry.T_world_camera is None]
+    return entries
+
+
+def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
+    """Cameras of a sequence, sorted by name, from its own cameras.json or else its recording's.
+
+    Without `posed` a missing `T_world_camera` is the identity. Raises `DataError` naming file, camera and field.
+    """
+    path = cameras_file(sequence)
+    entries = read_cameras_file(path).cameras
+    unposed = [name for name, entry in entries.items() if entry.T_world_camera is None]
     if posed and unposed:
         raise DataError("T_world_camera is missing", f"{path}, camera {unposed[0]}", "run `piegraph calibrate`")
-    return [_camera(name, entry, path) for name, entry in sorted(entries.cameras.items())]
+    longest = max(5, *(len(entry.distortion) for entry in entries.values()))
+    return [_camera(name, entry, longest, path) for name, entry in sorted(entries.items())]
 
 
-def _camera(name: str, entry: CameraEntry, path: Path) -> Camera:
+def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Camera:
     where = f"{path}, camera {name}"
     if Path(name).name != name or name.startswith("."):
         raise DataError("camera names must be plain folder names", where)
-    try:
-        K, T = np.array(entry.K, float), np.array(entry.T_world_camera or np.eye(4), float)
-    except ValueError:
-        raise DataError("K and T_world_camera must be rectangular", where, "see docs/formats.md") from None
-    if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise DataError("K must be a finite 3 x 3 matrix with positive focal lengths", where, "see docs/formats.md")
-    distortion = np.array(entry.distortion, float)
-    if distortion.shape != (5,) or not np.isfinite(distortion).all():
-        raise DataError("distortion must be five finite numbers k1 k2 p1 p2 k3", where, "use zeros for none")
-    if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[3], [0, 0, 0, 1]):
-        raise DataError("T_world_camera must be a finite 4 x 4 rigid transform", where, "run `piegraph calibrate`")
-    if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+    K = _intrinsics(entry.K, "K", where)
+    distortion = _distortion(entry.distortion, "distortion", where)
+    distortion = np.pad(distortion, (0, coefficients - len(distortion)))
+    T = _transform(entry.T_world_camera or np.eye(4).tolist(), "T_world_camera", where, "run `piegraph calibrate`")
+    view = _depth_view(entry, where)
+    return Camera(name, entry.width, entry.height, K, distortion, T, entry.depth_scale, view)
+
+
+def _depth_view(entry: CameraEntry, where: str) -> DepthView | None:
+    names = ("depth_width", "depth_height", "depth_K", "depth_distortion", "T_color_depth")
+    given = [name for name in names if getattr(entry, name) is not None]
+    if not given:
+        return None
+    if entry.depth_K is None or entry.T_color_depth is None:
         raise DataError(
-            "the rotation in T_world_camera is singular or not a rotation", where, "run `piegraph calibrate`"
+            f"{', '.join(given)} without {'depth_K' if entry.depth_K is None else 'T_color_depth'}",
+            where,
+            "depth that is not registered to colour needs depth_K and T_color_depth",
         )
-    return Camera(name, entry.width, entry.height, K, distortion, T, entry.depth_scale)
+    return DepthView(
+        entry.depth_width or entry.width,
+        entry.depth_height or entry.height,
+        _intrinsics(entry.depth_K, "depth_K", where),
+        np.pad(_distortion(entry.depth_distortion or [0.0] * 5, "depth_distortion", where), (0, 14))[:14],
+        _transform(entry.T_color_depth, "T_color_depth", where, "it maps points of the depth camera to the colour one"),
+    )
+
+
+def _matrix(values: list[list[float]], size: int, name: str, where: str) -> np.ndarray:
+    try:
+        matrix = np.array(values, float)
+    except ValueError:
+        raise DataError(f"{name} must be rectangular", where, "see docs/formats.md") from None
+    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        raise DataError(f"{name} must be a finite {size} x {size} matrix", where, "see docs/formats.md")
+    return matrix
+
+
+def _intrinsics(values: list[list[float]], name: str, where: str) -> np.ndarray:
+    K = _matrix(values, 3, name, where)
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise DataError(f"{name} must have positive focal lengths", where, "see docs/formats.md")
+    return K
+
+
+def _distortion(values: list[float], name: str, where: str) -> np.ndarray:
+    distortion = np.array(values, float)
+    if len(distortion) not in COEFFICIENTS or not np.isfinite(distortion).all():
+        raise DataError(
+            f"{name} must be 4, 5, 8, 12 or 14 finite numbers k1 k2 p1 p2 k3 ..., got {len(distortion)}",
+            where,
+            "give them in OpenCV's order, or zeros for images that are undistorted",
+        )
+    return np.pad(distortion, (0, max(0, 5 - len(distortion))))
+
+
+def _transform(values: list[list[float]], name: str, where: str, hint: str) -> np.ndarray:
+    T = _matrix(values, 4, name, where)
+    if not np.allclose(T[3], [0, 0, 0, 1]):
+        raise DataError(f"{name} must be a finite 4 x 4 rigid transform", where, hint)
+    if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+        raise DataError(f"the rotation in {name} is singular or not a rotation", where, hint)
+    return T
 
 
 def read_times(sequence: Path, camera: Camera) -> np.ndarray:
-    """Time stamps [frame] of one camera in seconds, strictly increasing."""
+    """Time stamps [frame] of one camera in seconds, as they are in its file."""
     path = sequence / camera.name / "timestamps.txt"
     if not path.parent.is_dir():
         raise DataError(
             f"camera {camera.name} is in cameras.json but has no folder", str(sequence), "add it or remove the camera"
         )
     try:
-        times = np.array([float(line) for line in path.read_text().split()])
+        return np.array([float(line) for line in path.read_text().split()])
     except FileNotFoundError:
         raise DataError("timestamps.txt is missing", str(path.parent), "one time stamp in seconds per line") from None
     except (ValueError, UnicodeDecodeError):
         raise DataError("a line is not a number", str(path), "one time stamp in seconds per line") from None
-    if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-        bad = int(np.argmax(np.diff(times) <= 0)) + 1 if (np.diff(times) <= 0).any() else 0
-        raise DataError(f"time stamps must increase: line {bad + 1} does not", str(path), "sort or repair the file")
-    return times
 
 
 def frame_files(sequence: Path, camera: Camera) -> list[tuple[Path, Path]]:
-    """(colour, depth) image paths of one camera in frame order; equal, gapless numbering is checked."""
-    folder = sequence / camera.name
-    color = sorted(p for p in _files(folder / "color") if p.suffix.lower() in COLOR_SUFFIXES)
-    depth = sorted(p for p in _files(folder / "depth") if p.suffix.lower() == ".png")
-    if [p.stem for p in color] != [p.stem for p in depth]:
-        odd = sorted({p.stem for p in color} ^ {p.stem for p in depth})
+    """(colour, depth) image paths of one camera in the order of the numbers in their names; each has its partner."""
+    color, depth = image_files(sequence, camera, "color"), image_files(sequence, camera, "depth")
+    odd = sorted(color.keys() ^ depth.keys())
+    if odd:
         raise DataError(
-            f"{len(color)} colour and {len(depth)} depth images; first unpaired frame {odd[0] if odd else 'repeated'}",
-            str(folder),
+            f"{len(color)} colour and {len(depth)} depth images; "
+            f"first unpaired frame {(color.get(odd[0]) or depth[odd[0]]).stem}",
+            str(sequence / camera.name),
             "each frame needs color/NNNNNN.jpg and depth/NNNNNN.png",
         )
-    return list(zip(color, depth, strict=True))
+    return [(path, depth[number]) for number, path in color.items()]
 
 
-def _files(folder: Path) -> list[Path]:
+def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"]) -> dict[Number, Path]:
+    """The colour or depth images of one camera by the numbers in their names, in their order."""
+    folder = sequence / camera.name / kind
     if not folder.is_dir():
         raise DataError("folder is missing", str(folder), "see docs/formats.md for the layout")
-    return [p for p in folder.iterdir() if p.is_file()]
+    return by_number([p for p in entries_of(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
 
 
 def read_color(path: Path, camera: Camera) -> bytes:
@@ -141,12 +210,18 @@ def read_color(path: Path, camera: Camera) -> bytes:
 
     data = path.read_bytes()
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    _check_image(image, path, camera)
+    image = _check_image(image, path, camera)
+    if image.shape[:2] != (camera.height, camera.width):
+        raise DataError(
+            f"image is {image.shape[1]} x {image.shape[0]}, cameras.json says {camera.width} x {camera.height}",
+            str(path),
+            "correct width, height and K in cameras.json",
+        )
     return data
 
 
 def read_depth(path: Path, camera: Camera) -> np.ndarray:
-    """A depth image, uint16 [H, W] in units of the camera's depth scale; 0 is no reading."""
+    """A depth image as it was recorded, uint16 [H, W] in units of the camera's depth scale; 0 is no reading."""
     import cv2
 
     data = path.read_bytes()
@@ -154,6 +229,17 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
     image = _check_image(image, path, camera)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DataError(f"depth must be a one-channel 16-bit PNG, got {image.dtype} {image.shape}", str(path))
+    view = camera.depth_view or camera
+    if image.shape != (view.height, view.width):
+        size = f"{image.shape[1]} x {image.shape[0]}"
+        if camera.depth_view:
+            message = f"depth image is {size}, cameras.json says {view.width} x {view.height}"
+            raise DataError(message, str(path), "correct depth_width, depth_height and depth_K in cameras.json")
+        raise DataError(
+            f"depth image is {size}, colour {camera.width} x {camera.height}: depth must be registered to colour",
+            str(path),
+            "align depth to colour when recording, or give depth_width, depth_height, depth_K and T_color_depth",
+        )
     return image
 
 
@@ -164,29 +250,28 @@ def _check_image(image: np.ndarray | None, path: Path, camera: Camera) -> np.nda
             str(path),
             "record it again, or remove this frame from every camera and from timestamps.txt",
         )
-    if image.shape[:2] != (camera.height, camera.width):
-        raise DataError(
-            f"image is {image.shape[1]} x {image.shape[0]}, cameras.json says {camera.width} x {camera.height}",
-            str(path),
-            "correct width, height and K in cameras.json",
-        )
     return image
 
 
 def cameras_text(cameras: list[Camera]) -> str:
     """The text of a cameras.json."""
-    entries = {
-        c.name: CameraEntry(
-            width=c.width,
-            height=c.height,
-            K=c.K.tolist(),
-            distortion=c.distortion.tolist(),
-            depth_scale=c.depth_scale,
-            T_world_camera=c.T_world_camera.tolist(),
-        )
-        for c in cameras
-    }
-    return json.dumps(CamerasFile(cameras=entries).model_dump(), indent=1) + "\n"
+    entries = {c.name: CameraEntry.model_validate(_entry(c)) for c in cameras}
+    return cameras_file_text(CamerasFile(cameras=entries))
+
+
+def cameras_file_text(file: CamerasFile) -> str:
+    """The text of a cameras.json."""
+    return json.dumps(file.model_dump(exclude_none=True), indent=1) + "\n"
+
+
+def _entry(camera: Camera) -> dict[str, Any]:
+    entry = {name: getattr(camera, name) for name in ("width", "height", "depth_scale")}
+    entry |= {name: getattr(camera, name).tolist() for name in ("K", "distortion", "T_world_camera")}
+    if camera.depth_view:
+        view = camera.depth_view
+        entry |= {"depth_width": view.width, "depth_height": view.height, "depth_K": view.K.tolist()}
+        entry |= {"depth_distortion": view.distortion.tolist(), "T_color_depth": view.T_color_depth.tolist()}
+    return entry
 
 
 def write_cameras(folder: Path, cameras: list[Camera]) -> None:

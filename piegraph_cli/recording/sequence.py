@@ -1,42 +1,59 @@
 """One recorded sequence, checked, on one clock, as arrays."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.images import join_images
+from piegraph_cli.recording.images import encode_depth, join_images
 from piegraph_cli.recording.layout import frame_files, read_cameras, read_color, read_depth, read_times
+from piegraph_cli.recording.numbers import frame_numbers, match_stamps
 from piegraph_cli.recording.params import IngestParams
-from piegraph_cli.recording.timing import align_frames
+from piegraph_cli.recording.registration import register_depth
+from piegraph_cli.recording.timing import align_frames, check_times
+
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+@dataclass(frozen=True)
+class Film:
+    """One camera's images of a sequence, with their time stamps."""
+
+    camera: Camera
+    times: np.ndarray
+    """[image] s, rising."""
+    files: list[tuple[Path, Path]]
+    """Colour and depth of each image."""
+    numbers: np.ndarray
+    """[image] what each is called by in the recording."""
 
 
 def read_sequence(
-    folder: Path, params: IngestParams, progress: Callable[[Iterable[int]], Iterable[int]] = iter
+    folder: Path, params: IngestParams, progress: Progress = iter
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Cameras, times and encoded images of one sequence folder as the datasets of a frames artifact, and warnings.
 
     Raises `DataError` naming file, camera and frame.
     """
-    cameras = read_cameras(folder)
-    sizes = {f"{camera.name} {camera.width} x {camera.height}" for camera in cameras}
-    if len({(camera.width, camera.height) for camera in cameras}) > 1:
-        raise DataError(
-            f"cameras differ in image size: {', '.join(sorted(sizes))}", str(folder), "record all at one size"
-        )
-    times = {camera.name: read_times(folder, camera) for camera in cameras}
-    files = {camera.name: frame_files(folder, camera) for camera in cameras}
-    _check_counts(folder, times, files)
-    time, source = align_frames(times, params.fps, params.max_skew, str(folder))
+    films, warnings = [], []
+    for camera in read_cameras(folder):
+        film, gaps = read_film(folder, camera)
+        films.append(film)
+        warnings += gaps
+    time, source, alone = align_frames(
+        {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
+    )
     if len(time) < 2:
         raise DataError("one frame: nothing can be seen to move", str(folder), "record longer, or remove this sequence")
-    images, blind = _read_images(cameras, files, source, progress)
+    images, blind = _read_images(films, source, progress)
+    cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
     arrays = images | {
         "time": time,
-        "source_frame": source,
+        "source_frame": np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1),
         "camera_name": np.array([c.name for c in cameras]),
         "image_size": np.array([[c.width, c.height] for c in cameras]),
         "K": np.array([c.K for c in cameras]),
@@ -44,51 +61,43 @@ def read_sequence(
         "depth_scale": np.array([c.depth_scale for c in cameras]),
         "T_world_camera": np.array([c.T_world_camera for c in cameras]),
     }
-    warnings = []
+    warnings += alone
     if blind.any():
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
     return arrays, warnings
 
 
-def _read_images(
-    cameras: list[Camera],
-    files: dict[str, list[tuple[Path, Path]]],
-    source: np.ndarray,
-    progress: Callable[[Iterable[int]], Iterable[int]],
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Encoded images of the frames `source` [F, C], and which depth images [F, C] have no reading."""
+def read_film(folder: Path, camera: Camera) -> tuple[Film, list[str]]:
+    """One camera's images of a sequence folder with their checked time stamps, and warnings of gaps."""
+    where = str(folder / camera.name)
+    stamps, files = read_times(folder, camera), frame_files(folder, camera)
+    if not files and not len(stamps):
+        raise DataError(f"camera {camera.name} has no frames", str(folder), "see docs/formats.md for the layout")
+    color = [path for path, _ in files]
+    lines, gaps = match_stamps(color, len(stamps), where)
+    gaps += check_times(stamps, str(folder / camera.name / "timestamps.txt"))
+    return Film(camera, stamps[lines], files, frame_numbers(color)), gaps
+
+
+def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty."""
     color, depth, blind = [], [], np.zeros(source.shape, bool)
     for frame in progress(range(len(source))):
-        for c, camera in enumerate(cameras):
-            color_file, depth_file = files[camera.name][source[frame, c]]
-            color.append(read_color(color_file, camera))
-            image = read_depth(depth_file, camera)
+        for c, film in enumerate(films):
+            color_file, depth_file = film.files[source[frame, c]]
+            color.append(read_color(color_file, film.camera))
+            image = read_depth(depth_file, film.camera)
+            if film.camera.depth_view is None:
+                depth.append(depth_file.read_bytes())
+            else:
+                image = register_depth(image, film.camera)
+                depth.append(encode_depth(image))
             blind[frame, c] = not image.any()
-            depth.append(depth_file.read_bytes())
     data, offsets = join_images(color)
     depth_data, depth_offsets = join_images(depth)
     names = ("color", "color_offsets", "depth", "depth_offsets")
     return dict(zip(names, (data, offsets, depth_data, depth_offsets), strict=True)), blind
-
-
-def _check_counts(folder: Path, times: dict[str, np.ndarray], files: dict[str, list]) -> None:
-    for name, stamps in times.items():
-        if len(stamps) != len(files[name]):
-            raise DataError(
-                f"camera {name} has {len(files[name])} frames and {len(stamps)} time stamps",
-                str(folder / name),
-                "each frame needs one line of timestamps.txt",
-            )
-    counts = {name: len(f) for name, f in files.items()}
-    if len(set(counts.values())) > 1:
-        raise DataError(
-            "cameras differ in frames: " + ", ".join(f"{name} {count}" for name, count in counts.items()),
-            str(folder),
-            "remove the frames that the others lack, from images and timestamps.txt",
-        )
-    if not any(counts.values()):
-        raise DataError("no frames", str(folder), "see docs/formats.md for the layout")
 
 
 def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None:

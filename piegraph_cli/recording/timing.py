@@ -1,4 +1,4 @@
-"""Several cameras' time stamps on one clock."""
+"""Several cameras' time stamps: checked one by one, and brought together on one clock."""
 
 import numpy as np
 
@@ -6,37 +6,119 @@ from piegraph_cli.errors import DataError
 
 SAME_RATE = 0.1
 """A recording within this share of the wanted rate is taken frame by frame."""
+SLOWEST, FASTEST = 0.2, 2000.0
+"""Frames a second beyond which time stamps are not in seconds."""
+UNITS = ((1e3, 1e3, "milliseconds"), (1e6, 1e6, "microseconds"), (np.inf, 1e9, "nanoseconds"))
+"""Step (s) up to which time stamps are in a unit, how many of it a second has, and its name."""
+LONGEST_GAP, GAP = 10.0, 1.0
+"""Seconds without a frame that are refused, and that are said, where they are also many times the usual step."""
+MANY = 10
+FEWEST = 0.5
+"""Share of the frames that must have a partner in every camera."""
+
+
+def check_times(times: np.ndarray, where: str) -> list[str]:
+    """Check one camera's time stamps [frame] (s); returns warnings of gaps.
+
+    Raises `DataError` naming the line for stamps that are not finite, do not increase, leap ahead, or are no seconds.
+    """
+    wrong = np.flatnonzero(~np.isfinite(times))
+    if len(wrong):
+        raise DataError(f"line {wrong[0] + 1} is not a finite number", where, "one time stamp in seconds per line")
+    steps = np.diff(times)
+    back = np.flatnonzero(steps <= 0)
+    if len(back):
+        raise DataError(
+            f"time stamps must increase: line {back[0] + 2} does not", where, "sort or repair the file, or cut it there"
+        )
+    if not len(steps):
+        return []
+    usual = float(np.median(steps))
+    if 1 / usual < SLOWEST:
+        _, in_second, unit = next(row for row in UNITS if usual < row[0])
+        message = f"{1 / usual:.2g} frames a second: are these {unit}?"
+        raise DataError(message, where, f"time stamps are in seconds: divide by {in_second:.0f}")
+    if 1 / usual > FASTEST:
+        raise DataError(f"{1 / usual:.2g} frames a second", where, "give the time stamps in seconds")
+    first = int(np.argmax(steps))
+    if steps[first] > max(LONGEST_GAP, MANY * usual):
+        raise DataError(
+            f"time stamps leap {steps[first]:.1f} s ahead at line {first + 2}",
+            where,
+            "if nothing was recorded in between, make two sequences of it; otherwise repair the clock",
+        )
+    gaps = np.flatnonzero(steps > max(GAP, MANY * usual))
+    if not len(gaps):
+        return []
+    more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
+    return [f"{where}: {steps[gaps[0]]:.1f} s without a frame before line {gaps[0] + 2}{more}"]
+
+
+def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tuple[np.ndarray, list[str]]:
+    """Each camera's frames that belong together [F, C], by time stamps (s), and warnings of those without partners.
+
+    The camera with the fewest frames leads; a frame belongs to the one of another camera that is nearest to it, if it is
+    itself that one's nearest, and all of them lie within `max_skew` (s). Raises `DataError` naming two cameras and a
+    frame where fewer than half of the frames find partners.
+    """
+    names, stamps = list(times), list(times.values())
+    early, late = int(np.argmin([s[-1] for s in stamps])), int(np.argmax([s[0] for s in stamps]))
+    if stamps[early][-1] + max_skew < stamps[late][0]:
+        spans = " and ".join(f"{names[c]} {stamps[c][0]:.2f} to {stamps[c][-1]:.2f} s" for c in (early, late))
+        raise DataError(f"cameras share no time: {spans}", where, "give all cameras one clock")
+    lead = min(stamps, key=len)
+    groups = np.stack([_nearest(lead, other) for other in stamps], 1)
+    mutual = np.all([_nearest(o, lead)[groups[:, c]] == np.arange(len(lead)) for c, o in enumerate(stamps)], axis=0)
+    found = np.stack([other[groups[:, c]] for c, other in enumerate(stamps)], 1)
+    skew = np.ptp(found, axis=1)
+    kept = mutual & (skew <= max_skew)
+    if kept.sum() < FEWEST * len(lead):
+        frame = int(np.argmin(kept))
+        first, last = names[int(found[frame].argmin())], names[int(found[frame].argmax())]
+        raise DataError(
+            f"cameras {first} and {last} are {skew[frame] * 1000:.0f} ms apart in frame {frame}; "
+            f"{kept.sum()} of {len(lead)} frames have a partner in every camera",
+            where,
+            f"give all cameras one clock, or raise ingest.max_skew above {max_skew}",
+        )
+    groups = groups[kept]
+    steps = [float(np.median(np.diff(s))) if len(s) > 1 else 0.0 for s in stamps]
+    alone = {
+        name: np.setdiff1d(np.arange(len(times[name])), groups[:, c])
+        for c, name in enumerate(names)
+        if steps[c] * (1 + SAME_RATE) >= max(steps)  # a faster camera has frames without partners
+    }
+    counts = [f"{name} {len(frames)} of {len(times[name])}" for name, frames in alone.items() if len(frames)]
+    if not counts:
+        return groups, []
+    name, frames = next((name, frames) for name, frames in alone.items() if len(frames))
+    message = f"frames without a partner in every camera within {max_skew * 1000:g} ms left out: {', '.join(counts)}"
+    return groups, [f"{message}; first: frame {frames[0]} of {name}"]
+
+
+def _nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """The index of the nearest of rising `others` for each of `stamps`; of two as near the earlier one."""
+    after = np.searchsorted(others, stamps).clip(1, max(len(others) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(others) - 1)
+    return np.where(np.abs(others[after] - stamps) < np.abs(others[before] - stamps), after, before)
 
 
 def align_frames(
     times: dict[str, np.ndarray], fps: float, max_skew: float, where: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Frame times [F] (s, from 0) and each camera's frame for them [F, C].
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Frame times [F] (s, from 0), each camera's frame for them [F, C], and warnings.
 
-    Recordings at about `fps` are taken frame by frame; others are resampled to the nearest frames of a regular clock,
-    without repeating one. Raises `DataError` when the cameras of a frame differ by more than `max_skew` (s).
+    `times`: rising time stamps (s) of each camera, one or more. Recordings at about `fps` are taken frame by frame;
+    others are resampled to the nearest frames of a regular clock, without repeating one. Raises as `pair_frames`.
     """
-    stamps = np.stack(list(times.values()), 1)
+    groups, warnings = pair_frames(times, max_skew, where)
+    stamps = np.stack([own[groups[:, c]] for c, own in enumerate(times.values())], 1)
     clock = stamps.mean(1)
-    if len(clock) < 2:
-        return clock - clock[:1], np.zeros(stamps.shape, np.int64)
-    period = float(np.median(np.diff(clock)))
-    if abs(period * fps - 1) <= SAME_RATE:
-        source = np.repeat(np.arange(len(clock))[:, None], stamps.shape[1], 1)
-    else:
-        wanted = np.arange(clock[0], clock[-1] + 0.5 * period, max(1 / fps, period))
-        nearest = np.unique(np.abs(wanted[:, None] - clock).argmin(1))
-        source = np.repeat(nearest[:, None], stamps.shape[1], 1)
-    chosen = np.take_along_axis(stamps, source, 0)
-    skew = np.ptp(chosen, axis=1)
-    if (skew > max_skew).any():
-        frame = int(np.argmax(skew > max_skew))
-        names = list(times)
-        first, last = names[int(chosen[frame].argmin())], names[int(chosen[frame].argmax())]
-        raise DataError(
-            f"cameras {first} and {last} are {skew[frame] * 1000:.0f} ms apart in frame {frame}",
-            where,
-            f"synchronise the cameras, or raise ingest.max_skew above {max_skew}",
-        )
-    time = chosen.mean(1)
-    return time - time[0], source.astype(np.int64)
+    if len(clock) > 1:
+        period = float(np.median(np.diff(clock)))
+        if abs(period * fps - 1) > SAME_RATE:
+            wanted = np.arange(clock[0], clock[-1] + 0.5 * period, max(1 / fps, period))
+            chosen = np.unique(np.abs(wanted[:, None] - clock).argmin(1))
+            clock, groups = clock[chosen], groups[chosen]
+    return clock - clock[0], groups.astype(np.int64), warnings

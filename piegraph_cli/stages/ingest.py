@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
@@ -13,13 +13,30 @@ if TYPE_CHECKING:
 
 
 def _units(run: "Run") -> Sequence[Unit]:
-    """The sequences of the recording; those that were read, where it is gone."""
-    from piegraph_cli.recording.folders import list_sequences
+    """The sequences of the recording; those that were read, where it is gone. Some are left out."""
+    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
 
-    recording = recording_of(run)
+    recording, exclude = recording_of(run), set(run.params(STAGE.name).exclude)
     if not recording.exists() and (run.folder / "frames").is_dir():
-        return sorted(path.stem for path in (run.folder / "frames").glob("*.h5"))
-    return [folder.name for folder in list_sequences(recording)]
+        read = sorted(path.stem for path in (run.folder / "frames").glob("[!.]*.h5"))
+        return [name for name in read if name not in exclude]
+    folders = list_sequences(recording)
+    names = [folder.name for folder in folders]
+    unknown = sorted(exclude - {*names, ""})
+    if unknown:
+        raise UsageError(
+            f"ingest.exclude: no sequence {unknown[0]}", str(recording), f"sequences are {', '.join(names)}"
+        )
+    exclude |= calibration_sequences(folders)
+    left = [name for name in names if name not in exclude]
+    if not left:
+        raise DataError("every sequence is left out", str(recording), "record one without the board, or exclude fewer")
+    return left
+
+
+def _settings(run: "Run", unit: str) -> IngestParams:
+    """One sequence does not depend on which others are left out."""
+    return run.params(STAGE.name).model_copy(update={"exclude": ()})
 
 
 STAGE = Stage(
@@ -31,6 +48,7 @@ STAGE = Stage(
     version=2,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
+    settings=_settings,
 )
 
 
@@ -44,6 +62,7 @@ def recording_of(run: "Run") -> Path:
 
 def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
     """Read one sequence of the recording folder."""
+    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
     from piegraph_cli.recording.sequence import read_sequence
     from piegraph_cli.stages.geometry import check_frames
 
@@ -52,4 +71,7 @@ def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Outpu
     checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]
     quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s, geometry {geometry}"
+    if context.unit == context.run.units(STAGE)[0]:
+        board = calibration_sequences(list_sequences(folder.parent))
+        warnings += [f"{name} is left out: by cameras.json it shows the calibration board" for name in sorted(board)]
     return Output(arrays | checked, quality, warnings + doubts)

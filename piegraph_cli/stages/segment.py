@@ -76,5 +76,5 @@ def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> "
     from piegraph_cli.perception.seeds import ObjectSeed, find_object
 
     if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
-        return ObjectSeed(0, np.zeros((len(cameras), *color[0][0].shape[:2]), bool))
+        return ObjectSeed(0, [np.zeros((camera.height, camera.width), bool) for camera in cameras])
     return find_object(color, depth, cameras, hand_px, workspace, params)

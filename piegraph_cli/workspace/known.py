@@ -166,12 +166,14 @@ def _fingerprint(path: str) -> tuple[str, int]:
 
 
 def _files(folder: str) -> list[tuple[str, os.stat_result]]:
-    """The files below a folder; folders that are links are not entered."""
+    """The files below a folder, but for names that begin with a dot; folders that are links are not entered."""
     found, inside = [], [""]
     while inside:
         above = inside.pop()
         with os.scandir(f"{folder}/{above}") as entries:
             for entry in entries:
+                if entry.name.startswith("."):
+                    continue
                 if entry.is_dir(follow_symlinks=False):
                     inside.append(f"{above}{entry.name}/")
                 elif entry.is_file():

@@ -93,7 +93,7 @@ def load_recipe(path: Path, table: Table) -> Recipe:
 
 def shipped() -> list[str]:
     """Names of the recipes that come with the package."""
-    return sorted(p.stem for p in SHIPPED.glob("*.toml"))
+    return sorted(p.stem for p in SHIPPED.glob("[!.]*.toml"))
 
 
 def find_recipe(name: str) -> Path:

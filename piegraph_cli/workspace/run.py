@@ -287,10 +287,14 @@ def _place(artifact: str, unit: Unit) -> str:
 
 
 def content_hash(path: Path, setting: str) -> str:
-    """sha256 of a file, or of a folder's file names and contents together with a cameras.json beside the folder."""
+    """sha256 of a file, or of a folder's file names and contents together with a cameras.json beside the folder.
+
+    Names that begin with a dot are nobody's.
+    """
     digest = hashlib.sha256()
     if path.is_dir():
-        files = sorted(p for p in path.rglob("*") if p.is_file())
+        found = (p for p in path.rglob("*") if not any(part.startswith(".") for part in p.relative_to(path).parts))
+        files = sorted(p for p in found if p.is_file())
         files += [p for p in [path.parent / "cameras.json"] if p.is_file()]
     elif path.is_file():
         files = [path]

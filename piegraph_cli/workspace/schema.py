@@ -60,7 +60,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "camera_name": Field("camera", "text", TEXT),
         "image_size": Field("camera,wh", "px", "int64"),
         "K": Field("camera,3,3", "px", "float64"),
-        "distortion": Field("camera,5", "1", "float64"),
+        "distortion": Field("camera,coefficient", "1", "float64"),
         "depth_scale": Field("camera", "m", "float64"),
         "T_world_camera": Field("camera,4,4", "m", "float64"),
         "check_name": Field("check", "text", TEXT),

@@ -215,9 +215,8 @@ def test_a_search_goes_on_while_nothing_is_feasible(planner):
             return Strokes.of(start, start + 0.1, PUSH), proposals[:, 0] > 0
 
     params = PlanParams(samples=8, cem_iterations=3, planner=planner, converged=1.0)
-    plan = plan_strokes(
-        SQUARE, carried, make_cost("distance", SQUARE, 36), Lucky(), params, torch.Generator().manual_seed(0)
-    )
+    cost, generator = make_cost("distance", SQUARE, 36), torch.Generator().manual_seed(0)
+    plan = Search(carried, cost, Lucky(), params, generator)(SQUARE)
     assert plan is not None
     assert plan.cost == pytest.approx(0.1 * math.sqrt(2), rel=1e-4)
 

@@ -1,6 +1,7 @@
 """The camera model: projection and its inverse."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -34,6 +35,22 @@ def test_unprojected_pixels_project_back(distortion, rotation, translation, samp
     back, distance = view.project(view.unproject(pixels, depth))
     np.testing.assert_allclose(back, pixels, atol=1e-4)
     np.testing.assert_allclose(distance, depth, atol=1e-9)
+
+
+KINECT = (0.51, -2.72, 0.0006, -0.0002, 1.57, 0.39, -2.53, 1.49)
+"""Of a wide camera, as its maker gives them."""
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [KINECT, (*KINECT, 0.002, -0.001, 0.001, 0.0005), (*KINECT, 0.002, -0.001, 0.001, 0.0005, 0.02, -0.03)],
+    ids=["8", "12", "14"],
+)
+def test_as_many_coefficients_as_opencv_takes(distortion):
+    view = camera(distortion, (0.3, -0.2, 0.1), (0.1, 0.2, 0.3))
+    pixels = np.stack(np.meshgrid(np.arange(0, 424, 53), np.arange(0, 318, 53)), -1).reshape(-1, 2).astype(float)
+    back, _ = view.project(view.unproject(pixels, np.full(len(pixels), 0.8)))
+    np.testing.assert_allclose(back, pixels, atol=1e-4)
 
 
 def test_pinhole_by_hand():

@@ -142,6 +142,7 @@ def find_cause(
     depth_scales: Sequence[float],
     faults: Sequence[Fault],
     bad: Sequence[int],
+    suspect: Sequence[int],
     names: Sequence[str],
     table: float,
     limits: Limits,
@@ -149,7 +150,7 @@ def find_cause(
     """What explains the faults of the cameras `bad`, by trying it.
 
     `planes` per camera in its frame (m), `poses` [4, 4], `depth_scales` as they are given (m per unit), `faults` of
-    the chosen tables, `limits` of what is bad.
+    the chosen tables, `suspect` those that are not good, `limits` of what is bad.
     """
 
     def likely(fault: Fault) -> float:
@@ -159,7 +160,7 @@ def find_cause(
         return max(min(likely(fault_of(p, poses_of(c), table, scale)) for p in planes[c]) for c in cameras)
 
     tests: list[Callable[[], Cause | None]] = [
-        lambda: _swapped(bad, names, poses, worst),
+        lambda: _swapped(suspect, names, poses, worst),
         lambda: _changed(bad, poses, depth_scales, worst, table),
         lambda: _scaled(bad, faults, poses, names, table),
     ]
@@ -213,12 +214,14 @@ def _depth_name(change: _Change, depth_scale: float) -> tuple[str, str]:
     return f"depth is {far}: depth_scale {right:g}", f"set depth_scale to {right:g} in cameras.json"
 
 
-def _swapped(bad: Sequence[int], names: Sequence[str], poses: Sequence[np.ndarray], worst: Callable) -> Cause | None:
+def _swapped(
+    suspect: Sequence[int], names: Sequence[str], poses: Sequence[np.ndarray], worst: Callable
+) -> Cause | None:
     """The exchange of fewest poses that brings all tables right."""
     found = []
-    for order in exchanges(bad):
-        moved = [c for c in bad if order[c] != c]
-        score = worst(bad, lambda c, order=order: poses[order[c]])
+    for order in exchanges(suspect):
+        moved = [c for c in suspect if order[c] != c]
+        score = worst(suspect, lambda c, order=order: poses[order[c]])
         if score < 0.5 * CLOSE:
             found.append((len(moved), score, order, moved))
     if not found:
@@ -274,5 +277,5 @@ def _scaled(
     fits.sort()
     if len(fits) == 2 and len(bad) > 1 and fits[0][0] < 0.5 * fits[1][0]:
         fits = fits[:1]
-    who = "" if len(bad) == len(poses) else f" in {listed([names[c] for c in bad])}"
+    who = "" if len(bad) == len(poses) else f" in {listed([names[c] for c in bad])}, or the pose is off"
     return Cause(", or ".join(f[1] for f in fits) + who, "; or ".join(f[2] for f in fits), tuple(bad))

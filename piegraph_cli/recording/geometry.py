@@ -132,6 +132,7 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
             [look.camera.depth_scale for look in looks],
             [fault or Fault(0, 0, 0, 0) for fault in faults],
             left,
+            [k for k, fault in enumerate(faults) if k in left or (fault and _share(fault, 0) > 1 and k not in causes)],
             [look.camera.name for look in looks],
             table,
             _badness,

@@ -98,6 +98,29 @@ def scales(scale):
     return lambda views: [replace(v, camera=replace(v.camera, depth_scale=scale)) for v in views]
 
 
+def slightly_off(seed):
+    """Poses as calibration leaves them: half a degree about what a camera looks at, and 1.5 mm."""
+    rng = np.random.default_rng(seed)
+
+    def change(k, T):
+        middle = T[:3, 3] + 0.75 * T[:3, 2]
+        turn = np.eye(4)
+        axis = rng.standard_normal(3)
+        turn[:3, :3] = cv2.Rodrigues(np.radians(0.5) * axis / np.linalg.norm(axis))[0]
+        return moved(*middle + 0.0015 * rng.standard_normal(3)) @ turn @ moved(*-middle) @ T
+
+    return lambda views: with_poses(views, change)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_usual_errors_of_calibration_are_good_and_hide_no_trouble(seed):
+    views = slightly_off(seed)(boxes_on_a_table())
+    assert told(views) == []
+    for trouble in ("all inverted", "cam0 and cam2 swapped", "cam1 and cam2 swapped", "quarter millimetres", "OpenGL"):
+        spoil, cause = TROUBLES[trouble]
+        assert any(verdict == "bad" and re.search(cause, text) for verdict, text in told(spoil(views))), trouble
+
+
 INVERSE = "inverting T_world_camera puts the table at z = 0"
 OPENGL = "OpenGL's axes. puts the table at z = 0"
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

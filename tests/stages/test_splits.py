@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from piegraph_cli.dynamics.dataset import TEST, TRAIN, VALIDATION, split_sequences
+from piegraph_cli.dynamics.splits import TEST, TRAIN, VALIDATION, split_sequences
 from piegraph_cli.dynamics.models import MODELS
 from piegraph_cli.dynamics.params import DatasetParams
 from piegraph_cli.errors import DataError, UsageError

@@ -1,10 +1,11 @@
-"""Settings of `ingest`."""
+"""Settings of `ingest` and `import`."""
 
 from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from piegraph_cli.params import Box, Params
+from piegraph_cli.params import Box, Mode, Params, split_commas
 
 
 class IngestParams(Params):
@@ -16,4 +17,31 @@ class IngestParams(Params):
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
         description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
+    )
+
+
+class MotionParams(Params):
+    """What one imported file depends on, beside its content."""
+
+    mode: Mode = Field("push", description="how the hand moves the object, where the file does not say")
+    radius: float = Field(
+        0.03, gt=0, description="hand and particles closer than this touch, where the file has no contact [m]"
+    )
+
+
+class MotionFileParams(MotionParams):
+    """Settings of one imported file."""
+
+    file: Path = Field(description="file of particles over time")
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without where the file is: what it holds counts."""
+        return self.model_dump(mode="json", exclude={"file"})
+
+
+class ImportParams(MotionParams):
+    """Settings of `import`: particles over time from motion capture, another tracker or a simulator."""
+
+    sources: Annotated[tuple[Path, ...], BeforeValidator(split_commas)] = Field(
+        (), description="files .npz, .h5 or .csv, or folders of them (docs/formats.md)"
     )

@@ -1,7 +1,6 @@
 """Strokes from a hand's path, and pairs from strokes."""
 
 import numpy as np
-
 import pytest
 
 from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs, straight_pieces

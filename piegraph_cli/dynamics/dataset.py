@@ -12,6 +12,9 @@ from piegraph_cli.dynamics.splits import split_sequences
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK
 
+NO_STROKE = "check the hand with `piegraph report`, or lower min_stroke"
+UNSEEN = "the object is hardly seen: look at the clouds with `piegraph report`, or lower min_seen"
+
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -45,10 +48,8 @@ def build_dataset(
     found = {name: find_strokes(artifact, params) for name, artifact in tracks.items()}
     empty = {name for name, of in found.items() if len(of.strokes) == 0}
     if len(empty) == len(found):
-        hint = "check the hand with `piegraph report`, or lower min_stroke"
-        if any(of.strokes_lost for of in found.values()):
-            hint = "the object is hardly seen: look at the clouds with `piegraph report`, or lower min_seen"
-        raise DataError("no stroke was found in any sequence", hint=hint)
+        lost = any(of.strokes_lost for of in found.values())
+        raise DataError("no stroke was found in any sequence", hint=UNSEEN if lost else NO_STROKE)
     columns: dict[str, list[Any]] = {name: [] for name in ("strokes", "owner", "mode", "pairs", "pair_stroke", "start")}
     frames, stroke_count = 0, 0
     for index, (name, of) in enumerate(found.items()):

@@ -61,11 +61,10 @@ def split_sequences(names: list[str], params: DatasetParams, empty: set[str]) ->
     split = np.full(len(names), TEST, np.uint8)
     parts = named_parts(params)
     if any(parts.values()):
-        for part, number in PARTS.items():
-            split[[names.index(name) for name in parts[part] if name in names]] = number
-        for part in (TRAIN, TEST):
-            if not any(split[k] == part and name not in empty for k, name in enumerate(names)):
-                word = next(word for word, number in PARTS.items() if number == part)
+        for word, number in PARTS.items():
+            split[[names.index(name) for name in parts[word] if name in names]] = number
+        for word in ("train", "test"):
+            if not any(part == PARTS[word] and name not in empty for part, name in zip(split, names, strict=True)):
                 raise DataError(f"no sequence to {word} on has a stroke", hint=f"name others in {word}_names")
         return split
     order = np.random.default_rng(params.seed).permutation(len(names))

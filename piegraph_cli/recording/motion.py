@@ -26,6 +26,8 @@ NAMES = {
 }
 """What arrays of a file may be called, by the name they have in tracks."""
 ALL_NAMES = tuple(name for names in NAMES.values() for name in names)
+FLAGS = {"contact", "mode", "visibility"}
+"""Arrays of values from 0 to 1."""
 NEEDED = "particles [T, N, 3] and end_effector [T, 3] in metres, times [T] in seconds"
 
 FEWEST, MOST = 4, 2000
@@ -94,12 +96,13 @@ def read_motion(path: Path, radius: float, mode: Mode, more: Mapping[str, Reader
     readers: dict[str, Reader] = {".npz": lambda p: read_arrays(p, ALL_NAMES), ".csv": read_csv, **more}
     raw = readers[path.suffix.lower()](path)
     place = _Place(path)
-    arrays = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, known in NAMES.items():
         given = [k for k in known if k in raw]
         if len(given) > 1:
             raise DataError(f"has both {given[0]} and {given[1]}", str(path), "leave one of them out")
-        arrays |= {name: raw[given[0]] for _ in given}
+        if given:
+            arrays[name] = raw[given[0]]
     for name in ("positions", "end_effector", "time"):
         if name not in arrays:
             held = ", ".join(raw) or "none of them"
@@ -150,12 +153,11 @@ def _check_numbers(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
             which = f"particle {rest[0]}" if name in ("positions", "visibility") else NAMES[name][0]
             hint = "fill gaps of lost markers in, or leave these frames out"
             raise DataError(f"{which} is not finite", place(frame), hint)
-    limits = {"contact": (0, 1), "mode": (0, 1), "visibility": (0, 1)}
-    for name, (low, high) in limits.items():
-        value = arrays.get(name)
-        if value is None or value.dtype.kind in "US":
+    for name in FLAGS & arrays.keys():
+        value = arrays[name]
+        if value.dtype.kind in "US":
             continue
-        wrong = (value < low) | (value > high) | ((value % 1 != 0) if name != "visibility" else False)
+        wrong = (value < 0) | (value > 1) | ((value % 1 != 0) if name != "visibility" else False)
         if wrong.any():
             frame = int(np.argwhere(wrong)[0][0])
             meaning = {"mode": "0 push or 1 pick", "contact": "0 or 1"}.get(name, "from 0 to 1")
@@ -215,16 +217,8 @@ def _completed(arrays: Mapping[str, np.ndarray], radius: float, mode: Mode, plac
     if z > HIGH and y < z / 5:
         warnings.append(f"the object moves {z:.2g} m in z and {y:.2g} m in y: is y up? z has to point up")
     visibility = np.asarray(arrays.get("visibility", np.ones(positions.shape[:2])), np.float32)
-    return Motion(
-        positions,
-        hand,
-        arrays["time"].astype(float),
-        contact.astype(bool),
-        modes,
-        visibility,
-        "contact" in arrays,
-        warnings,
-    )
+    time, contact = arrays["time"].astype(float), contact.astype(bool)
+    return Motion(positions, hand, time, contact, modes, visibility, "contact" in arrays, warnings)
 
 
 def _modes(given: np.ndarray | None, frames: int, mode: Mode, place: _Place) -> np.ndarray:

@@ -20,10 +20,10 @@ def rope(seed: int, markers: int = 12, frames: int = 6, strokes: int = 2) -> dic
         for share in np.linspace(0, 1, frames):
             shape = begin + np.array([0, 0.04 * share, 0]) * near[:, None]
             rows["particles"].append(shape)
-            rows["end_effector"].append(at + [0, 0.05 * share - 0.01, 0.01])
+            rows["end_effector"].append(at + np.array([0, 0.05 * share - 0.01, 0.01]))
             rows["contact"].append(True)
         rows["particles"].append(shape)
-        rows["end_effector"].append(at + [0, -0.2, 0.2])
+        rows["end_effector"].append(at + np.array([0, -0.2, 0.2]))
         rows["contact"].append(False)
     return {name: np.array(value) for name, value in rows.items()} | {"times": np.arange(len(rows["contact"])) / 5}
 

@@ -39,7 +39,7 @@ def test_something_is_left_to_train_and_to_test_on():
     with pytest.raises(DataError, match="no sequence to test on"):
         split(train_names="a,b,c,d,e")
     with pytest.raises(DataError, match="no sequence to test on"):
-        split(empty={"c", "d"}, train_names="a,b", test_names="c,d")
+        split(empty={"c", "d", "e"}, train_names="a,b", test_names="c,d")
     with pytest.raises(DataError, match="no sequence to train on"):
         split(empty={"a"}, train_names="a")
 

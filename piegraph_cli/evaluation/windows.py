@@ -20,7 +20,8 @@ def window_metrics(
 ):
     """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
 
-    `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2]; `true` [F, N, 3] (m) or None. The model
+    `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2], and whether each stroke follows [S] on
+    the one before with nothing unknown in between: where one does not, no window goes on. `true` [F, N, 3] (m) or None. The model
     predicts on `device`.
     """
     count = len(sequence["strokes"])
@@ -36,6 +37,8 @@ def window_metrics(
             continue
         for window in range(windows):
             last = window + horizon - 1
+            if not sequence["follows"][window + 1 : last + 1].all():
+                continue
             found, target = positions[window].cpu().numpy(), sequence["after"][last]
             metrics = [
                 chamfer_distance(found, target),

@@ -1,11 +1,11 @@
-"""Settings of `ingest`."""
+"""Settings of `ingest` and `import`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from piegraph_cli.params import Box, Params, split_commas
+from piegraph_cli.params import Box, Mode, Params, split_commas
 
 CheckName = Literal["pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines"]
 """Checks of a recording's geometry (docs/checks.md), in the order in which they are made."""
@@ -29,4 +29,31 @@ class IngestParams(Params):
     table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"
+    )
+
+
+class MotionParams(Params):
+    """What one imported file depends on, beside its content."""
+
+    mode: Mode = Field("push", description="how the hand moves the object, where the file does not say")
+    radius: float = Field(
+        0.03, gt=0, description="hand and particles closer than this touch, where the file has no contact [m]"
+    )
+
+
+class MotionFileParams(MotionParams):
+    """Settings of one imported file."""
+
+    file: Path = Field(description="file of particles over time")
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without where the file is: what it holds counts."""
+        return self.model_dump(mode="json", exclude={"file"})
+
+
+class ImportParams(MotionParams):
+    """Settings of `import`: particles over time from motion capture, another tracker or a simulator."""
+
+    sources: Annotated[tuple[Path, ...], BeforeValidator(split_commas)] = Field(
+        (), description="files .npz, .h5 or .csv, or folders of them (docs/formats.md)"
     )

@@ -7,7 +7,7 @@ import io
 import logging
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,7 +76,8 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np
     return points[finite]
 
 
-def _size(path: Path) -> int:
+def check_size(path: Path) -> int:
+    """The size of a file. Raises `DataError` for one that is too large to be read."""
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise DataError(
@@ -88,12 +89,12 @@ def _size(path: Path) -> int:
 
 
 def _vertices(path: Path) -> Frames:
-    return [read_ply(path, _size(path))]
+    return [read_ply(path, check_size(path))]
 
 
 def _read_npz(path: Path) -> Frames:
     """The first array of an .npz file: [P, 3], with integer `offsets` [F + 1] several clouds, or [F, P, 3]."""
-    _size(path)
+    check_size(path)
     try:
         with zipfile.ZipFile(path) as file:
             arrays = _npz_headers(file, path)
@@ -181,3 +182,18 @@ def _check_lengths(others: Mapping[str, tuple[int, ...]], frames: Frames, points
             message = f"array {name} {list(shape)} contradicts the points {list(points.shape)}"
             hint = f"expected length {expected[name]}: write both again, of the same clouds"
             raise DataError(message, str(path), hint)
+
+
+def read_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file that have one of these names, each held against its length; none is unpickled.
+
+    Raises `DataError` for a file that is cut off, too large, or holds anything but plain arrays.
+    """
+    check_size(path)
+    try:
+        with zipfile.ZipFile(path) as file:
+            return {name: _npz_array(file, name) for name in _npz_headers(file, path) if name in wanted}
+    except DataError:
+        raise
+    except Exception as error:  # whatever zip, deflate and .npy readers raise for broken files
+        raise DataError(f"not a readable .npz file: {error}", str(path), AGAIN) from None

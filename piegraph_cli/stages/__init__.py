@@ -8,6 +8,7 @@ from piegraph_cli.stages import (
     evaluate,
     fuse,
     hands,
+    import_tracks,
     ingest,
     plan,
     score,
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.recipe import Recipe
     from piegraph_cli.workspace.run import Run
 
-_ORDER = (ingest, simulate, hands, segment, fuse, track, score, dataset, train, evaluate, plan, trials)
+_ORDER = (ingest, simulate, import_tracks, hands, segment, fuse, track, score, dataset, train, evaluate, plan, trials)
 
 STAGES: dict[str, Stage] = {module.STAGE.name: module.STAGE for module in _ORDER}
 """All stages by name, in the order of the pipeline."""

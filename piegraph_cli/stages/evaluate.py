@@ -55,7 +55,7 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
     """Measure a model on every window of held-out strokes."""
     import numpy as np
 
-    from piegraph_cli.dynamics.dataset import TEST
+    from piegraph_cli.dynamics.splits import TEST
     from piegraph_cli.evaluation.windows import window_metrics
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model, read_sequence

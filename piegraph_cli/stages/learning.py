@@ -58,7 +58,7 @@ def read_model(model: Artifact) -> Trained:
 
 
 def read_sequence(data: Artifact, index: int) -> dict[str, Any]:
-    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes` [S], `frames` [S, 2]."""
+    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes`, `follows` [S], `frames` [S, 2]."""
     chosen = data["stroke_sequence"] == index
     first, last = data["strokes"][chosen].T
     hand = data["end_effector"]
@@ -68,5 +68,6 @@ def read_sequence(data: Artifact, index: int) -> dict[str, Any]:
         "before": data["positions"][first],
         "after": data["positions"][last],
         "strokes": Strokes.of(hand[first], hand[last], data["stroke_mode"][chosen]),
+        "follows": data["stroke_follows"][chosen],
         "frames": np.stack([first, last], 1) - start,
     }

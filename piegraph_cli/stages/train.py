@@ -155,8 +155,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     """Train one model on the dataset's training sequences."""
     import numpy as np
 
-    from piegraph_cli.dynamics.dataset import TRAIN, VALIDATION
     from piegraph_cli.dynamics.models import MODELS, make_network
+    from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_sequences

@@ -52,6 +52,9 @@ class Recipe:
         for name, file in checked.files().items():
             if name in values:
                 section[name] = str((base / file).resolve()) + str(values[name])[len(str(file)) :]
+        for name, several in checked:
+            if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
+                section[name] = [str((base / file).resolve()) for file in several]
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:

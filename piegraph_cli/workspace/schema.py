@@ -110,6 +110,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "strokes": Field("stroke,first_last", "frame", "int64"),
         "stroke_sequence": Field("stroke", "sequence", "int64"),
         "stroke_mode": Field("stroke", "0 push, 1 pick", "uint8"),
+        "stroke_follows": Field("stroke", "1", "bool"),
         "pairs": Field("pair,first_last", "frame", "int64"),
         "pair_stroke": Field("pair", "stroke", "int64"),
         "sequence_name": Field("sequence", "text", TEXT),

@@ -181,7 +181,7 @@ def test_tracks_of_random_strokes_teach(name):
     env = make_daxbench(name)
     tracks = simulate_tracks(env, seed=2, strokes=4)
     env.close()
-    strokes = cut_strokes(tracks["end_effector"], tracks["contact"], 0.01)
+    strokes = cut_strokes(tracks["end_effector"], tracks["contact"], 0.01, 0.025).strokes
     assert len(strokes) == 4
     for first, last in strokes:
         assert len(frame_pairs(first, last, tracks["end_effector"], 2)) >= 1

@@ -95,6 +95,7 @@ def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
         "before": rest[None],
         "after": rest[None] + rng.normal(0, 0.01, (1, 30, 3)).astype(np.float32),
         "strokes": Strokes.of([[0.0, 0.0]], [[0.1, 0.0]], [0]),
+        "follows": np.array([False]),
         "frames": np.array([[0, 5]]),
     }
     rows = [

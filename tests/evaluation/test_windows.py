@@ -32,6 +32,7 @@ def sequence(strokes: int = 3) -> dict[str, np.ndarray]:
         "before": np.array(before),
         "after": np.array(after),
         "strokes": of_strokes.make(start, end, 0),
+        "follows": np.arange(strokes) > 0,
         "frames": np.array([[10 * k, 10 * k + 5] for k in range(strokes)]),
     }
 
@@ -58,6 +59,11 @@ def predicted(monkeypatch):
 
 def test_every_window_of_a_horizon_is_measured_once():
     assert set(rows(sequence())) == {(1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (3, 0)}
+
+
+def test_no_window_goes_on_over_what_was_not_seen():
+    gap = sequence() | {"follows": np.array([False, True, False])}
+    assert set(rows(gap)) == {(1, 0), (1, 1), (1, 2), (2, 0)}
     assert set(rows(sequence(), horizons=(2,))) == {(2, 0), (2, 1)}
     assert set(rows(sequence(), horizons=(3, 1))) == {(1, 0), (1, 1), (1, 2), (3, 0)}
     assert set(rows(sequence(2), horizons=(1, 4))) == {(1, 0), (1, 1)}

@@ -60,6 +60,7 @@ def tracks(index: int, strokes: int = 2, particles: int = 16, pick: bool = False
             "end_effector": np.array(hand, np.float32),
             "contact": contact,
             "mode": np.full(count, int(pick), np.uint8),
+            "visibility": np.ones((count, particles), np.float32),
             "time": np.arange(count) / 5,
         }
     )

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from piegraph_cli.dynamics.dataset import TEST, TRAIN, VALIDATION, split_sequences
 from piegraph_cli.dynamics.models import MODELS
 from piegraph_cli.dynamics.params import DatasetParams
+from piegraph_cli.dynamics.splits import TEST, TRAIN, VALIDATION, split_sequences
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.stages.learning import read_model, read_sequences
 from tests.stages.chain import FRAMES, PACE, artifact, make_dataset, make_metrics, make_model, tracks

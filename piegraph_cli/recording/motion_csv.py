@@ -1,0 +1,84 @@
+"""Tables of particles over time: a line per frame, columns time, ee_x, ee_y, ee_z[, contact][, mode], p0_x, p0_y, p0_z, ..."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.recording.points import check_size
+
+FIXED = ("time", "ee_x", "ee_y", "ee_z")
+OPTIONAL = ("contact", "mode")
+COLUMNS = "columns time, ee_x, ee_y, ee_z[, contact][, mode], p0_x, p0_y, p0_z, p1_x, ..., with commas between"
+_PARTICLE = re.compile(r"p(0|[1-9][0-9]*)_([xyz])")
+
+
+def read_csv(path: Path) -> dict[str, np.ndarray]:
+    """particles [T, N, 3], end_effector [T, 3], times [T], and contact and mode [T] where it has them.
+
+    Raises `DataError` naming the line and the column.
+    """
+    check_size(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file, strict=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"not a readable table: {error}", str(path), f"write {COLUMNS}") from None
+    while rows and not "".join(rows[-1]).strip():
+        rows.pop()
+    if len(rows) < 2:
+        raise DataError("has no line of numbers", str(path), f"write {COLUMNS}, then a line per frame")
+    header = [name.strip() for name in rows[0]]
+    count = _check_header(header, path)
+    numbers = [k for k, name in enumerate(header) if name != "mode"]
+    values = np.array([_numbers(row, numbers, header, f"{path}, line {n}") for n, row in enumerate(rows[1:], 2)])
+    column = {header[k]: values[:, i] for i, k in enumerate(numbers)}
+    found = {
+        "particles": np.stack([[column[f"p{k}_{axis}"] for axis in "xyz"] for k in range(count)]).transpose(2, 0, 1),
+        "end_effector": np.stack([column[f"ee_{axis}"] for axis in "xyz"], 1),
+        "times": column["time"],
+    }
+    if "contact" in column:
+        found["contact"] = column["contact"]
+    if "mode" in header:
+        found["mode"] = np.array([row[header.index("mode")] for row in rows[1:]])
+    return found
+
+
+def _check_header(header: list[str], path: Path) -> int:
+    """The number of particles that the columns are of."""
+    where = f"{path}, line 1"
+    particles = {name for name in header if _PARTICLE.fullmatch(name)}
+    count = len({name.partition("_")[0] for name in particles})
+    wanted = [*FIXED, *(f"p{k}_{axis}" for k in range(max(count, 1)) for axis in "xyz")]
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        raise DataError(f"has no column {missing[0]}", where, f"write {COLUMNS}")
+    wrong = [name for k, name in enumerate(header) if name not in (*wanted, *OPTIONAL) or name in header[:k]]
+    if wrong:
+        why = "is there twice" if header.count(wrong[0]) > 1 else "is not known"
+        raise DataError(f"column {wrong[0]!r} {why}", where, f"write {COLUMNS}")
+    return count
+
+
+def _numbers(row: list[str], columns: list[int], header: list[str], where: str) -> list[float]:
+    if len(row) != len(header):
+        message = f"has {len(row)} columns, the first line has {len(header)}"
+        raise DataError(message, where, "every line has all particles: they may not change in number")
+    try:
+        return [float(row[k]) for k in columns]
+    except ValueError:
+        wrong = next(k for k in columns if not _is_number(row[k]))
+        what = f"{row[wrong].strip()!r} is no number" if row[wrong].strip() else "is empty"
+        hint = "write numbers with a point; fill gaps of lost markers in, or leave these frames out"
+        raise DataError(f"column {header[wrong]}: {what}", where, hint) from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

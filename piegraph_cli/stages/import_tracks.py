@@ -1,0 +1,144 @@
+"""Stage `import`: particles over time that others measured, checked, as tracks; a file each, named like it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.recording.params import ImportParams, MotionFileParams
+from piegraph_cli.workspace.call import Call, Given, Option, options_of
+from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from piegraph_cli.workspace.run import Run
+
+LONGEST_NAME = 100
+"""Bytes."""
+
+
+def _files(run: "Run") -> dict[str, Path]:
+    """The files of a run by name of the sequence; of sources that are gone, what was imported before."""
+    from piegraph_cli.recording.motion import list_files
+
+    sources = run.params(STAGE.name).sources
+    if not sources:
+        raise UsageError("nothing to import", str(run.folder), "piegraph import FILE --run RUN")
+    found: dict[str, Path] = {}
+    for source in sources:
+        kept = [] if source.exists() else _kept(run, source)
+        for file in kept or list_files(source, READERS):
+            name = file.stem
+            if name in found:
+                raise DataError(f"two files are called {name}", str(file), f"rename one of them: {found[name]}")
+            if len(name.encode()) > LONGEST_NAME:
+                raise DataError("the name is too long for a sequence", str(file), f"at most {LONGEST_NAME} letters")
+            found[name] = file
+    return found
+
+
+def _kept(run: "Run", source: Path) -> list[Path]:
+    """Files of a source that is gone, as far as the run has what was made of them."""
+    if source.suffix:
+        return [source] if run.path("tracks", source.stem).exists() else []
+    return [source / path.stem for path in sorted((run.folder / "tracks").glob("*.h5"))]
+
+
+def _units(run: "Run") -> Sequence[Unit]:
+    return list(_files(run))
+
+
+def _settings(run: "Run", unit: str) -> MotionFileParams:
+    params = run.params(STAGE.name)
+    return MotionFileParams(file=_files(run)[unit], mode=params.mode, radius=params.radius)
+
+
+def _options() -> dict[str, Option]:
+    """Several sources may be given, one after the other."""
+    options = options_of(ImportParams)
+    return options | {"sources": Option(list[Path], options["sources"].meaning)}
+
+
+def _apply(run: "Run", given: Given) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The settings; refused where the run has tracks of its own."""
+    own = [name for name in ("ingest", "simulate") if name in run.recipe.sections]
+    if own:
+        raise UsageError(f"this run has its tracks from {own[0]}", str(run.folder), "give --run another folder")
+    return dict(given), ()
+
+
+STAGE = Stage(
+    "import",
+    "import particles over time",
+    (),
+    "tracks",
+    ImportParams,
+    version=1,
+    run="piegraph_cli.stages.import_tracks:run",
+    units=_units,
+    settings=_settings,
+    call=Call(
+        more="Of motion capture, another tracker or a simulator: .npz, .h5 or .csv (docs/formats.md), as tracks of a run.",
+        argument="sources",
+        first=("mode", "radius"),
+        options=_options,
+        apply=_apply,
+    ),
+)
+
+
+def run(inputs: dict[str, Any], params: MotionFileParams, context: Context) -> Output:
+    """Read and check one file."""
+    import numpy as np
+
+    from piegraph_cli.recording.motion import read_motion
+
+    found = read_motion(params.file, params.radius, params.mode, READERS)
+    frames, particles = found.positions.shape[:2]
+    arrays = {name: getattr(found, name) for name in ("positions", "end_effector", "time", "contact", "mode")}
+    arrays |= {"visibility": found.visibility, "residual": np.zeros(frames)}
+    quality = f"{frames} frames, {particles} particles, contact in {found.contact.mean():.0%} of the frames"
+    quality += "" if found.contact_given else f" (hand within {params.radius:g} m of a particle)"
+    return Output(arrays, quality, found.warnings)
+
+
+def read_h5(path: Path) -> "dict[str, np.ndarray]":
+    """The plain datasets at the root of an HDF5 file that have a name we know; nothing else in it is looked at.
+
+    Links, data in other files, and types that are not numbers or short texts are refused: the file may be anybody's.
+    """
+    import h5py
+
+    from piegraph_cli.recording.motion import ALL_NAMES
+    from piegraph_cli.recording.points import check_size
+
+    check_size(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return {name: _plain(file, name, path) for name in ALL_NAMES if file.get(name, getlink=True) is not None}
+    except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
+        raise DataError(f"not a readable HDF5 file: {error}", str(path), "write it again") from None
+
+
+def _plain(file: Any, name: str, path: Path) -> "np.ndarray":
+    import h5py
+
+    from piegraph_cli.recording.points import MAX_BYTES
+
+    where, hint = f"{path}, dataset {name}", "write plain datasets of numbers"
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise DataError("is a link, which is not followed", where, hint)
+    item = file[name]
+    if not isinstance(item, h5py.Dataset):
+        raise DataError("is a group, not a dataset", where, hint)
+    if item.dtype.kind not in "fiubS":
+        raise DataError(f"has the type {item.dtype}", where, hint)
+    if item.is_virtual or item.external:
+        raise DataError("takes its data from other files", where, hint)
+    if item.size * item.dtype.itemsize > MAX_BYTES:
+        raise DataError(f"has {item.size * item.dtype.itemsize} bytes, at most {MAX_BYTES} are read", where, hint)
+    return item[()]
+
+
+READERS = {".h5": read_h5}

@@ -21,8 +21,8 @@ def window_metrics(
     """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
 
     `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2], and whether each stroke follows [S] on
-    the one before with nothing unknown in between: where one does not, no window goes on. `true` [F, N, 3] (m) or None. The model
-    predicts on `device`.
+    the one before with nothing unknown in between: where one does not, no window goes on. `true` [F, N, 3] (m) or None. The
+    model predicts on `device`.
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs

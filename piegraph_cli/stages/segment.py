@@ -2,11 +2,14 @@
 
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import MissingError, UsageError
+from piegraph_cli.errors import MissingError
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from piegraph_cli.perception.others import Beside
     from piegraph_cli.perception.seeds import ObjectSeed
 
 STAGE = Stage(
@@ -25,6 +28,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     import numpy as np
 
     from piegraph_cli.perception import sam, segmentation
+    from piegraph_cli.perception.others import WipedColor, WipedDepth
     from piegraph_cli.recording.images import encode_masks
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of, workspace_of
 
@@ -33,28 +37,29 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     color = [color_of(frames).of_camera(c) for c in range(len(cameras))]
     depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
     hand_px = hands["landmarks"].astype(np.float64)
-    workspace = workspace_of(frames)
-    unknown = set(params.prompts) - {c.name for c in cameras}
-    if unknown:
-        raise UsageError(f"segment.prompts names no camera of this recording: {', '.join(unknown)}", str(frames.path))
-    seed = _seed(params, color, depth, cameras, hand_px, workspace)
+    given = (color, depth, cameras, hand_px, workspace_of(frames), params)
+    seed = _seed(given, hands["end_effector"].astype(np.float64))
     network = _network(params) if params.segmenter == "sam" else None
-    masks = []
+    masks, warnings = [], list(seed.warnings)
+    beside = _beside(seed, *given[:3])
     for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
-        given = (color[c], depth[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
+        images = (color[c], depth[c])
+        if beside[c] is not None:
+            images = (WipedColor(color[c], depth[c], beside[c]), WipedDepth(depth[c], beside[c]))
+        one = (*images, camera, hand_px[:, c], given[4], seed.frame, seed.masks[c], params)
         if network is None:
-            masks.append(segmentation.segment_sequence(*given))
+            masks.append(segmentation.segment_sequence(*one))
         else:
             box = params.prompts.get(camera.name)
             prompt = sam.SamPrompt(box=box) if box else None
-            masks.append(sam.segment_sequence(network, *given, key_every=params.sam_every, prompt=prompt))
+            masks.append(sam.segment_sequence(network, *one, key_every=params.sam_every, prompt=prompt))
     area = np.stack([m.sum((1, 2)) for m in masks], 1)
     data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
     found = (area > 0).any(1).mean()
     quality = (
         f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
     )
-    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality)
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, warnings)
 
 
 def _network(params: SegmentParams) -> Any:
@@ -69,12 +74,31 @@ def _network(params: SegmentParams) -> Any:
     return load_sam(params.sam_checkpoint, params.sam_model)
 
 
-def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> "ObjectSeed":
-    """Where the object is first: found by geometry; with a prompt for every camera, in the first frame."""
+def _seed(given: tuple, tips: "np.ndarray") -> "ObjectSeed":
+    """Where the object is first: where prompts say, else found by geometry, touch and motion."""
     import numpy as np
 
+    from piegraph_cli.perception.prompts import check_prompts, prompted_object
     from piegraph_cli.perception.seeds import ObjectSeed, find_object
 
+    cameras, params = given[2], given[5]
+    check_prompts(params, cameras)
     if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
-        return ObjectSeed(0, np.zeros((len(cameras), *color[0][0].shape[:2]), bool))
-    return find_object(color, depth, cameras, hand_px, workspace, params)
+        return ObjectSeed(0, np.zeros((len(cameras), *given[0][0][0].shape[:2]), bool))
+    if params.prompts or params.points:
+        return prompted_object(*given, tips)
+    return find_object(*given, tips)
+
+
+def _beside(seed: "ObjectSeed", color: list, depth: list, cameras: list) -> "list[Beside | None]":
+    """What each camera sees beside the object in the seed's frame; None where it sees nothing."""
+    import numpy as np
+
+    from piegraph_cli.perception.others import Beside
+
+    found: list[Beside | None] = []
+    for c, camera in enumerate(cameras):
+        mask = np.logical_or.reduce([np.zeros_like(seed.masks[c]), *(part.masks[c] for part in seed.others)])
+        images = color[c][seed.frame], depth[c][seed.frame]
+        found.append(Beside(mask, seed.masks[c], *images, camera) if mask.any() else None)
+    return found

@@ -15,8 +15,8 @@ LOOKS = 10
 """Frames, spread over the sequence, in which it is seen whether a part has changed."""
 TOUCH = 0.03
 """Distance (m) in the plane, and above its top, at which the end-effector touches a part."""
-SAME_PLACE, MOVED = 0.3, 0.12
-"""Share of a part's pixels that may change in a frame while it stays in its place; share from which it has moved."""
+SAME_PLACE, MOVED, LEFT = 0.3, 0.12, 0.5
+"""Share of a part's pixels that may change while it stays in its place; from which it is moved; has left its place."""
 ENOUGH = 0.3
 """Share of a part's pixels that must be in view for a verdict."""
 AT_REST, ALWAYS_AT_REST = 0.25, 0.6
@@ -35,6 +35,8 @@ class Trait:
     """It left its place, if only in part."""
     thing: bool
     """It lies there for a while: no piece of an arm, no shadow."""
+    moved_from: int | None
+    """The first later frame seen in which it has left its place, where it lay there till then."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,8 @@ class Choice:
     """Things that would have done as well."""
     others: list[Part] = field(default_factory=list)
     """All other things."""
+    leaving: list[tuple[Part, int]] = field(default_factory=list)
+    """Those of them that are moved later, and from which frame on."""
 
 
 class Chooser:
@@ -71,20 +75,33 @@ class Chooser:
 
     def choose(self, frame: int, parts: Sequence[Part]) -> Choice:
         """The object among the parts of a frame (at least one)."""
+        parts = [piece for part in parts for piece in self._apart(frame, part)]
         traits = [self.trait(frame, part) for part in parts]
         ranks = [0 if t.touched and t.moved else 1 if t.touched else 2 if t.moved and t.thing else 3 for t in traits]
         best = min(range(len(parts)), key=lambda n: (ranks[n], -parts[n].score))
         things = [n for n, t in enumerate(traits) if t.thing and n != best]
         rivals = [parts[n] for n in things if ranks[n] == ranks[best]]
-        return Choice(parts[best], ranks[best], rivals, [parts[n] for n in things])
+        leaving = [(parts[n], f) for n in things if (f := traits[n].moved_from) is not None]
+        return Choice(parts[best], ranks[best], rivals, [parts[n] for n in things], leaving)
+
+    def _apart(self, frame: int, part: Part) -> Sequence[Part]:
+        """The pieces of a part where one is touched and moves while another never does; else the part."""
+        traits = [self.trait(frame, piece) for piece in part.pieces]
+        handled = [t.touched and t.moved for t in traits]
+        at_rest = [t.thing and not t.touched and not t.moved for t in traits]
+        return part.pieces if any(handled) and any(at_rest) else (part,)
 
     def trait(self, frame: int, part: Part) -> Trait:
         """What the sequence says of a part of that frame."""
-        shares = np.array([self.change(frame, part, int(g)) for g in self.frames if g != frame])
-        shares = shares[np.isfinite(shares)]
+        looks = [(int(g), self.change(frame, part, int(g))) for g in self.frames if g != frame]
+        looks = [(g, share) for g, share in looks if np.isfinite(share)]
+        shares = np.array([share for _, share in looks])
         rest = float((shares < SAME_PLACE).mean()) if len(shares) else 0.0
         thing = rest >= (AT_REST if part.clearance >= CLEAR else ALWAYS_AT_REST)
-        return Trait(self._touched(frame, part), bool((shares > MOVED).any()), thing)
+        left = next((g for g, share in looks if g > frame and share > LEFT), None)
+        lay = [share < SAME_PLACE for g, share in looks if left is not None and g < left]
+        moved_from = left if len(lay) > 1 and all(lay) else None
+        return Trait(self._touched(frame, part), bool((shares > MOVED).any()), thing, moved_from)
 
     def _touched(self, frame: int, part: Part) -> bool:
         tops = [np.percentile(z, 95) for z in self._heights(frame, part) if len(z)]

@@ -4,27 +4,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piegraph_cli.perception.choice import STEP, STEP_PER_M2, changes
+from piegraph_cli.perception.choice import STEP, STEP_PER_M2
 from piegraph_cli.recording.camera import Camera
 
 RIM = 3
 """Pixels by which a thing is widened, for the blur and the flying pixels of its outline."""
 TABLE_AROUND = 12
 """Pixels beyond the rim whose colour a thing is wiped out with."""
-LEFT = 0.4
-"""Share of a thing's pixels, of those in view, that must change for it to be moved."""
 
 
 class Beside:
-    """One camera's view of what lies beside the object in the seed frame: `mask` [H, W], `image`, `depth` there."""
+    """One camera's view of what lies beside the object in the seed frame: where, how deep, on which table."""
 
     def __init__(self, mask: np.ndarray, object_mask: np.ndarray, image: np.ndarray, depth: np.ndarray, camera: Camera):
         import cv2
 
         grown = _grown(mask, RIM) & ~_grown(object_mask, 1)
         ring = _grown(mask, TABLE_AROUND) & ~_grown(mask | object_mask, RIM)
-        self.camera, self.grown, self.mask = camera, grown, mask
-        self.image, self.depth = image, cv2.medianBlur(depth, 5)
+        self.camera, self.grown = camera, grown
+        self.depth = cv2.medianBlur(depth, 5)
         self.table = np.median(image[ring if ring.any() else ~grown], axis=0).astype(np.uint8)
 
     def still(self, depth: np.ndarray) -> np.ndarray:
@@ -36,14 +34,6 @@ class Beside:
         before, now = self.depth * scale, smooth * scale
         near = np.abs(now - before) <= np.maximum(STEP, STEP_PER_M2 * before**2)
         return self.grown & (near | (smooth == 0) | (self.depth == 0))
-
-    def moved(self, image: np.ndarray, depth: np.ndarray, min_contrast: float) -> bool:
-        """Whether a frame shows something else in their place."""
-        import cv2
-
-        seen, differs = changes(self.image, self.depth, image, cv2.medianBlur(depth, 5), self.camera, min_contrast)
-        known = int((seen & self.mask).sum())
-        return known > LEFT * self.mask.sum() and (differs & self.mask).sum() > LEFT * known
 
 
 class WipedColor(Sequence):

@@ -41,6 +41,8 @@ class Part:
     """Distance (m) from the hand, infinite where no hand is."""
     low: np.ndarray
     """[2] the grid's corner (m)."""
+    pieces: tuple["Part", ...] = ()
+    """What it falls into where narrower gaps count."""
 
     @property
     def centre(self) -> np.ndarray:
@@ -79,24 +81,30 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
-    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views)
-    solid = binary_closing(votes >= min(2, len(views)), np.ones((5, 5)))
-    labels, count = label(solid, np.ones((3, 3)))
-    area = np.bincount(labels.ravel(), minlength=count + 1) * CELL**2
-    area[0] = 0
+    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
     inner = np.zeros(shape, bool)
     inner[2:-3, 2:-3] = True
-    score = area.copy()
-    score[np.unique(labels[~inner])] *= AT_EDGE
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
-    parts = []
-    for n in np.argsort(-score, kind="stable"):
-        if area[n] < params.min_area:
-            continue
-        away = distance_transform_edt(labels != n) * CELL
+
+    def part(grid: np.ndarray, pieces: tuple[Part, ...] = ()) -> Part:
+        away = distance_transform_edt(~grid) * CELL
+        area = float(grid.sum() * CELL**2)
+        score = area * AT_EDGE if (grid & ~inner).any() else area
         clearance = float(away[hand].min()) if hand.any() else np.inf
-        parts.append(Part(masks_near(views, away, low), away, float(area[n]), float(score[n]), clearance, low))
-    return parts
+        return Part(masks_near(views, away, low), away, area, score, clearance, low, pieces)
+
+    narrow, _ = label(binary_closing(votes, np.ones((3, 3))), np.ones((3, 3)))
+    found = []
+    for grid in _large(label(binary_closing(votes, np.ones((5, 5))), np.ones((3, 3)))[0], params.min_area):
+        pieces = _large(np.where(grid, narrow, 0), params.min_area)
+        found.append(part(grid, tuple(part(piece) for piece in pieces) if len(pieces) > 1 else ()))
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:
+    """The labelled regions [X, Y] bool of at least `min_area` (m2)."""
+    area = np.bincount(labels.ravel()) * CELL**2
+    return [labels == n for n in range(1, len(area)) if area[n] >= min_area]
 
 
 def masks_near(views: Sequence[View], away: np.ndarray, low: np.ndarray) -> np.ndarray:

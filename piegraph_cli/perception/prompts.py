@@ -64,13 +64,11 @@ def prompted_object(
     for c, box in boxes.items():
         if not (views[c].candidates & box).any():
             raise _missed(f"segment.prompts.{cameras[c].name}", parts, cameras)
-    if meant:
-        masks = np.logical_or.reduce([part.masks for part in meant])
-    else:
-        masks = _boxed_masks(views, boxes, workspace)
+    whole = [part.masks for part in meant]
+    masks = np.logical_or.reduce(whole) if whole else _boxed_masks(views, boxes, workspace)
     chooser = Chooser(images, depths, cameras, tips, params)
-    rest = [p for p in parts if not (p.masks & masks).any() and chooser.trait(0, p).thing]
-    return ObjectSeed(0, masks, rest)
+    beside = [part for part in parts if not (part.masks & masks).any()]
+    return ObjectSeed(0, masks, [part for part in beside if chooser.trait(0, part).thing])
 
 
 def _inside(box: Sequence[float], camera: Camera) -> np.ndarray:

@@ -59,9 +59,10 @@ def find_object(
         parts = parts_of(views, workspace, params)
         if not parts:
             continue
-        if len(parts) > 1 and not several and best is not None:
+        first_doubt = not several and (len(parts) > 1 or bool(parts[0].pieces))
+        if first_doubt and best is not None:
             best = best[0], chooser.choose(best[0], [best[1].part])
-        several = several or len(parts) > 1
+        several = several or first_doubt
         choice = chooser.choose(int(f), parts) if several else Choice(parts[0], 0)
         if best is None or _worth(choice) > _worth(best[1]):
             best = int(f), choice
@@ -85,14 +86,20 @@ def _worth(choice: Choice) -> tuple[int, float]:
 
 def _doubts(frame: int, choice: Choice, cameras: Sequence[Camera]) -> list[str]:
     """Says so where another thing would have done as well, and how to choose."""
+    told = [
+        f"the thing beside the object at x, y = ({part.centre[0]:+.2f}, {part.centre[1]:+.2f}) m is moved from frame {f} "
+        "on: masks may take in what of it comes to the object"
+        for part, f in choice.leaving
+    ]
     if not choice.rivals:
-        return []
+        return told
     why = ("touched and moved", "touched", "moved", "neither touched nor moved")[choice.rank]
     found = [choice.part, *choice.rivals]
     where = "; ".join(f"({x:+.2f}, {y:+.2f}) m" for x, y in (part.centre for part in found))
     boxes = "; ".join(box for box in (boxed(part, cameras) for part in choice.rivals) if box)
     advice = f"to take another, give its box in the first frame as segment.prompts, as {boxes}" if boxes else ""
     return [
+        *told,
         f"{len(found)} things on the table are {why} (frame {frame}), in the middle at x, y = {where}: the first is "
-        f"taken, since it is the largest. {advice or 'Narrow ingest.workspace to the object'}"
+        f"taken, since it is the largest. {advice or 'Narrow ingest.workspace to the object'}",
     ]

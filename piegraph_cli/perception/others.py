@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piegraph_cli.perception.choice import STEP, STEP_PER_M2
+from piegraph_cli.perception.seeds import ObjectSeed
 from piegraph_cli.recording.camera import Camera
 
 RIM = 3
@@ -69,3 +70,21 @@ def _grown(mask: np.ndarray, pixels: int) -> np.ndarray:
     import cv2
 
     return cv2.dilate(mask.astype(np.uint8), np.ones((2 * pixels + 1,) * 2, np.uint8)).astype(bool)
+
+
+def without_others(
+    images: Sequence[Sequence[np.ndarray]],
+    depths: Sequence[Sequence[np.ndarray]],
+    cameras: Sequence[Camera],
+    seed: ObjectSeed,
+) -> tuple[list[Sequence[np.ndarray]], list[Sequence[np.ndarray]]]:
+    """The images and depths, `[camera][frame]` each, without what lies beside the object; as given where nothing does."""
+    if not seed.others:
+        return list(images), list(depths)
+    colour, depth = list(images), list(depths)
+    for c, camera in enumerate(cameras):
+        mask = np.logical_or.reduce([part.masks[c] for part in seed.others])
+        if mask.any():
+            beside = Beside(mask, seed.masks[c], images[c][seed.frame], depths[c][seed.frame], camera)
+            colour[c], depth[c] = WipedColor(images[c], depths[c], beside), WipedDepth(depths[c], beside)
+    return colour, depth

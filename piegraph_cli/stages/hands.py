@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from piegraph_cli.recording.images import CameraImages
 
 STAGE = Stage(
-    "hands", "find the hand in 3-D", ("frames",), "hands", HandsParams, version=1, run="piegraph_cli.stages.hands:run"
+    "hands", "find the hand in 3-D", ("frames",), "hands", HandsParams, version=2, run="piegraph_cli.stages.hands:run"
 )
 
 POOR = 0.5

@@ -9,7 +9,6 @@ from piegraph_cli.workspace.stage import Context, Output, Stage
 if TYPE_CHECKING:
     import numpy as np
 
-    from piegraph_cli.perception.others import Beside
     from piegraph_cli.perception.seeds import ObjectSeed
 
 STAGE = Stage(
@@ -18,7 +17,7 @@ STAGE = Stage(
     ("frames", "hands"),
     "masks",
     SegmentParams,
-    version=1,
+    version=2,
     run="piegraph_cli.stages.segment:run",
 )
 
@@ -28,7 +27,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     import numpy as np
 
     from piegraph_cli.perception import sam, segmentation
-    from piegraph_cli.perception.others import WipedColor, WipedDepth
+    from piegraph_cli.perception.others import without_others
     from piegraph_cli.recording.images import encode_masks
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of, workspace_of
 
@@ -41,12 +40,9 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     seed = _seed(given, hands["end_effector"].astype(np.float64))
     network = _network(params) if params.segmenter == "sam" else None
     masks, warnings = [], list(seed.warnings)
-    beside = _beside(seed, *given[:3])
+    color, depth = without_others(color, depth, cameras, seed)
     for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
-        images = (color[c], depth[c])
-        if beside[c] is not None:
-            images = (WipedColor(color[c], depth[c], beside[c]), WipedDepth(depth[c], beside[c]))
-        one = (*images, camera, hand_px[:, c], given[4], seed.frame, seed.masks[c], params)
+        one = (color[c], depth[c], camera, hand_px[:, c], given[4], seed.frame, seed.masks[c], params)
         if network is None:
             masks.append(segmentation.segment_sequence(*one))
         else:
@@ -88,17 +84,3 @@ def _seed(given: tuple, tips: "np.ndarray") -> "ObjectSeed":
     if params.prompts or params.points:
         return prompted_object(*given, tips)
     return find_object(*given, tips)
-
-
-def _beside(seed: "ObjectSeed", color: list, depth: list, cameras: list) -> "list[Beside | None]":
-    """What each camera sees beside the object in the seed's frame; None where it sees nothing."""
-    import numpy as np
-
-    from piegraph_cli.perception.others import Beside
-
-    found: list[Beside | None] = []
-    for c, camera in enumerate(cameras):
-        mask = np.logical_or.reduce([np.zeros_like(seed.masks[c]), *(part.masks[c] for part in seed.others)])
-        images = color[c][seed.frame], depth[c][seed.frame]
-        found.append(Beside(mask, seed.masks[c], *images, camera) if mask.any() else None)
-    return found

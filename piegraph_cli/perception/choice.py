@@ -127,8 +127,9 @@ class Chooser:
             crop = _box(inner)
             if crop is None:
                 continue
-            before, after = ([a[crop] for a in self._look(f, c)] for f in (frame, other))
-            seen, differs = changes(*before, *after, camera, self.params.min_contrast)
+            (image, depth), (later_image, later_depth) = self._look(frame, c), self._look(other, c)
+            now, later = (image[crop], depth[crop]), (later_image[crop], later_depth[crop])
+            seen, differs = changes(now, later, camera, self.params.min_contrast)
             total += int(inner.sum())
             known += int((seen & inner[crop]).sum())
             changed += int((differs & inner[crop]).sum())
@@ -143,17 +144,13 @@ class Chooser:
 
 
 def changes(
-    image: np.ndarray,
-    depth: np.ndarray,
-    later_image: np.ndarray,
-    later_depth: np.ndarray,
-    camera: Camera,
-    min_contrast: float,
+    now: tuple[np.ndarray, np.ndarray], later: tuple[np.ndarray, np.ndarray], camera: Camera, min_contrast: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pixels [H, W] of a later view can be judged, and which of these show something farther or of another hue.
 
-    Not judged is where depth is missing or something has come in front.
+    A view is an image [H, W, 3] and its depth [H, W]. Not judged is where depth is missing or something has come in front.
     """
+    (image, depth), (later_image, later_depth) = now, later
     before, after = depth * np.float32(camera.depth_scale), later_depth * np.float32(camera.depth_scale)
     step = np.maximum(STEP, STEP_PER_M2 * before**2)
     seen = (depth > 0) & (later_depth > 0) & (after > before - step)

@@ -7,8 +7,6 @@ from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from piegraph_cli.perception.seeds import ObjectSeed
 
 STAGE = Stage(
@@ -36,26 +34,26 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     color = [color_of(frames).of_camera(c) for c in range(len(cameras))]
     depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
     hand_px = hands["landmarks"].astype(np.float64)
-    given = (color, depth, cameras, hand_px, workspace_of(frames), params)
-    seed = _seed(given, hands["end_effector"].astype(np.float64))
+    workspace = workspace_of(frames)
+    seed = _seed(params, color, depth, cameras, hand_px, workspace, hands["end_effector"].astype(np.float64))
     network = _network(params) if params.segmenter == "sam" else None
-    masks, warnings = [], list(seed.warnings)
-    color, depth = without_others(color, depth, cameras, seed)
+    masks = []
+    images, depths = without_others(color, depth, cameras, seed)
     for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
-        one = (color[c], depth[c], camera, hand_px[:, c], given[4], seed.frame, seed.masks[c], params)
+        given = (images[c], depths[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
         if network is None:
-            masks.append(segmentation.segment_sequence(*one))
+            masks.append(segmentation.segment_sequence(*given))
         else:
             box = params.prompts.get(camera.name)
             prompt = sam.SamPrompt(box=box) if box else None
-            masks.append(sam.segment_sequence(network, *one, key_every=params.sam_every, prompt=prompt))
+            masks.append(sam.segment_sequence(network, *given, key_every=params.sam_every, prompt=prompt))
     area = np.stack([m.sum((1, 2)) for m in masks], 1)
     data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
     found = (area > 0).any(1).mean()
     quality = (
         f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
     )
-    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, warnings)
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, seed.warnings)
 
 
 def _network(params: SegmentParams) -> Any:
@@ -70,17 +68,15 @@ def _network(params: SegmentParams) -> Any:
     return load_sam(params.sam_checkpoint, params.sam_model)
 
 
-def _seed(given: tuple, tips: "np.ndarray") -> "ObjectSeed":
+def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace, tips) -> "ObjectSeed":
     """Where the object is first: where prompts say, else found by geometry, touch and motion."""
     import numpy as np
 
     from piegraph_cli.perception.prompts import check_prompts, prompted_object
     from piegraph_cli.perception.seeds import ObjectSeed, find_object
 
-    cameras, params = given[2], given[5]
     check_prompts(params, cameras)
     if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
-        return ObjectSeed(0, np.zeros((len(cameras), *given[0][0][0].shape[:2]), bool))
-    if params.prompts or params.points:
-        return prompted_object(*given, tips)
-    return find_object(*given, tips)
+        return ObjectSeed(0, np.zeros((len(cameras), *color[0][0].shape[:2]), bool))
+    find = prompted_object if params.prompts or params.points else find_object
+    return find(color, depth, cameras, hand_px, workspace, params, tips)

@@ -63,12 +63,20 @@ def detect_hands(images: Iterable[np.ndarray], times: np.ndarray, model_path: Pa
     Raises MissingError where the model file is missing or unreadable.
     Source: paper, section III-D (MediaPipe Hands).
     """
+    landmarks, score = detect_several(images, times, model_path, 1)
+    return landmarks[:, 0], score[:, 0]
+
+
+def detect_several(
+    images: Iterable[np.ndarray], times: np.ndarray, model_path: Path, hands: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Landmarks [F, N, 21, 2] and scores [F, N] of up to N = `hands` hands, else as `detect_hands`; in no lasting order."""
     import mediapipe as mp
 
-    landmarks = np.full((len(times), LANDMARKS, 2), np.nan)
-    score = np.zeros(len(times))
+    landmarks = np.full((len(times), hands, LANDMARKS, 2), np.nan)
+    score = np.zeros((len(times), hands))
     stamp = -1
-    with _hand_landmarker(model_path) as landmarker:
+    with _hand_landmarker(model_path, hands) as landmarker:
         for f, image in enumerate(images):
             height, width = image.shape[:2]
             frame = mp.Image(image_format=mp.ImageFormat.SRGB, data=np.ascontiguousarray(image))
@@ -78,14 +86,14 @@ def detect_hands(images: Iterable[np.ndarray], times: np.ndarray, model_path: Pa
                     result = landmarker.detect_for_video(frame, stamp)
                 if result.hand_landmarks:
                     break
-            if result.hand_landmarks:
-                landmarks[f] = [(p.x * width - 0.5, p.y * height - 0.5) for p in result.hand_landmarks[0]]
-                score[f] = result.handedness[0][0].score
+            for n, points in enumerate(result.hand_landmarks):
+                landmarks[f, n] = [(p.x * width - 0.5, p.y * height - 0.5) for p in points]
+                score[f, n] = result.handedness[n][0].score
     return landmarks, score
 
 
 @contextmanager
-def _hand_landmarker(model_path: Path) -> Iterator:
+def _hand_landmarker(model_path: Path, hands: int) -> Iterator:
     from mediapipe.tasks.python import BaseOptions, vision
 
     hint = "run `piegraph doctor --fetch hand-landmarker`"
@@ -94,7 +102,7 @@ def _hand_landmarker(model_path: Path) -> Iterator:
     options = vision.HandLandmarkerOptions(
         base_options=BaseOptions(model_asset_buffer=model_path.read_bytes()),
         running_mode=vision.RunningMode.VIDEO,
-        num_hands=1,
+        num_hands=hands,
         min_hand_detection_confidence=CONFIDENCE,
         min_hand_presence_confidence=CONFIDENCE,
         min_tracking_confidence=CONFIDENCE,
@@ -127,7 +135,7 @@ def lift_hands(
     origins = np.array([camera.T_world_camera[:3, 3] for camera in cameras])
     rays, points = np.full((2, *landmarks_px.shape[:3], 3), np.nan)
     for f, c in np.argwhere(seen):
-        rays[f, c], points[f, c] = _lift(landmarks_px[f, c], depth(f, c), cameras[c])
+        rays[f, c], points[f, c] = lift(landmarks_px[f, c], depth(f, c), cameras[c])
     measured = merge_rays(origins, rays, points)
     for k in range(LANDMARKS):
         measured[~_slow_chain(measured[:, k], times, max_speed), k] = np.nan
@@ -142,7 +150,7 @@ def lift_hands(
     return HandTrack(keypoints, pixels, seen, observed, spread, deep)
 
 
-def _lift(pixels: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def lift(pixels: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Unit world rays and points [21, 3] of one camera's landmarks; points are NaN where depth looks wrong."""
     rays = camera.rays(pixels) @ camera.T_world_camera[:3, :3].T
     length = np.linalg.norm(rays, axis=1, keepdims=True)

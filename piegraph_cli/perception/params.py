@@ -28,7 +28,10 @@ class SegmentParams(Params):
     sam_model: Literal["vit_h", "vit_l", "vit_b", "tiny"] = Field("vit_b", description="SAM model of the checkpoint")
     sam_every: int = Field(10, ge=1, description="frames between SAM key frames; masks are propagated between them")
     prompts: dict[str, tuple[float, float, float, float]] = Field(
-        {}, description="box x0,y0,x1,y1 [px] in the first frame, per camera; automatic where not given"
+        {}, description="box x0,y0,x1,y1 [px] in the first frame, per camera; other cameras follow by its place"
+    )
+    points: dict[str, tuple[float, float]] = Field(
+        {}, description="point x,y [px] on the object in the first frame, per camera; other cameras follow"
     )
 
 

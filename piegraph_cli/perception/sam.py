@@ -8,8 +8,8 @@ import numpy as np
 
 from piegraph_cli.errors import UsageError
 from piegraph_cli.perception.hand_region import hand_region
+from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.sam_models import import_segment_anything
-from piegraph_cli.perception.seeds import SegmentParams
 from piegraph_cli.perception.segmentation import check_seed, learn_object, segment_frame
 from piegraph_cli.recording.camera import Camera
 

@@ -169,8 +169,7 @@ def find_cause(
         found = test()
         if found:
             return found
-    who = listed([names[c] for c in bad])
-    angle = max(faults[c].tilt for c in bad)
+    who, angle = listed([names[c] for c in bad]), max(faults[c].tilt for c in bad)
     return Cause(
         f"the pose of {who} is off (tilt {angle:.1f} deg); nothing simple explains it",
         "calibrate again with the board flat on the table (`piegraph calibrate`)",

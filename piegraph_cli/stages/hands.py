@@ -7,10 +7,15 @@ from piegraph_cli.perception.params import HandsParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
 
+    from piegraph_cli.perception.hands import HandTrack
+    from piegraph_cli.recording.images import CameraImages
+
 STAGE = Stage(
-    "hands", "find the hand in 3-D", ("frames",), "hands", HandsParams, version=1, run="piegraph_cli.stages.hands:run"
+    "hands", "find the hand in 3-D", ("frames",), "hands", HandsParams, version=2, run="piegraph_cli.stages.hands:run"
 )
 
 POOR = 0.5
@@ -19,32 +24,36 @@ SHALLOW, FEWEST = 0.6, 5
 """Share of a hand's landmarks with a depth below which a camera that saw it in so many frames is named; good ones have
 0.84 and more, unregistered depth 0.1 to 0.7."""
 
+BOTH_MOVE = 0.06
+"""How far (m) both of two hands must go for the user to be warned."""
+
 
 def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output:
     """Find the hand in one sequence."""
     import numpy as np
 
-    from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
+    from piegraph_cli.perception.hands import detect_several, end_effector, lift_hands
+    from piegraph_cli.perception.two_hands import separate_hands, travel
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of
     from piegraph_cli.weights import cached_weights
 
     frames: Any = inputs["frames"]
     cameras, color, depth, time = cameras_of(frames), color_of(frames), depth_of(frames), frames["time"]
     model = params.hand_model or cached_weights("hand-landmarker")
-    landmarks = np.stack(
-        [
-            detect_hands(context.progress(color.of_camera(c), f"hands {camera.name}", len(time)), time, model)[0]
-            for c, camera in enumerate(cameras)
-        ],
-        axis=1,
-    )
+    images = [color.of_camera(c) for c in range(len(cameras))]
+    hands = 2 if _second_hand(images, time, model) else 1
+    bars = [context.progress(images[c], f"hands {camera.name}", len(time)) for c, camera in enumerate(cameras)]
+    landmarks = np.stack([detect_several(bar, time, model, hands)[0] for bar in bars], axis=1)
     if not np.isfinite(landmarks).any():
         raise DataError(
             f"no camera sees a hand in frames 0 to {len(time) - 1}",
             f"{frames.path}, cameras {', '.join(c.name for c in cameras)}",
             "check that the hand is in view and lit, or remove this sequence",
         )
-    hand = lift_hands(landmarks, depth.depth, cameras, time, max_gap=params.max_gap)
+    each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
+    tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
+    ways = [travel(end_effector(track.keypoints)) for track in tracks]
+    hand = tracks[int(np.argmax(ways))]
     arrays = {
         "landmarks": hand.pixels,
         "seen": hand.seen,
@@ -53,12 +62,23 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
         "observed": hand.observed,
         "time": time,
     }
-    rates = ", ".join(f"{c.name} {rate:.0%}" for c, rate in zip(cameras, hand.seen.mean(0), strict=True))
-    quality = f"hand in {hand.seen.any(1).mean():.0%} of {len(time)} frames ({rates})"
-    warnings = _without_depth([c.name for c in cameras], hand.seen, hand.deep)
+    return Output(arrays, *_told([c.name for c in cameras], hand, ways))
+
+
+def _told(names: list[str], hand: "HandTrack", ways: list[float]) -> tuple[str, list[str]]:
+    """The line on quality, and warnings; `ways` is how far (m) each hand that was seen goes."""
+    rates = ", ".join(f"{name} {rate:.0%}" for name, rate in zip(names, hand.seen.mean(0), strict=True))
+    quality = f"hand in {hand.seen.any(1).mean():.0%} of {len(hand.seen)} frames ({rates})"
+    if len(ways) == 2:
+        quality += f"; of two hands the one that moves {max(ways) * 1000:.0f} mm, not {min(ways) * 1000:.0f} mm"
+    warnings = _without_depth(names, hand.seen, hand.deep)
+    if len(ways) == 2 and min(ways) > BOTH_MOVE:
+        warnings.append(
+            f"two hands move, {ways[0] * 1000:.0f} and {ways[1] * 1000:.0f} mm: the one that moves more is taken"
+        )
     if hand.observed.mean() < POOR:
         warnings.append(f"hand found in {hand.observed.mean():.0%} of the frames only: see `piegraph report`")
-    return Output(arrays, quality, warnings)
+    return quality, warnings
 
 
 def _without_depth(names: list[str], seen: "np.ndarray", deep: "np.ndarray") -> list[str]:
@@ -71,3 +91,18 @@ def _without_depth(names: list[str], seen: "np.ndarray", deep: "np.ndarray") -> 
         f"the hand is seen in colour, but few of its landmarks have a depth: {', '.join(shallow)}\n"
         "  try: register depth to colour; see the check of edges (docs/checks.md)"
     ]
+
+
+def _second_hand(images: "list[CameraImages]", time: "np.ndarray", model: "Path") -> bool:
+    """Whether two hands are seen in at least two of a few images."""
+    import numpy as np
+
+    from piegraph_cli.perception.hands import detect_several
+    from piegraph_cli.perception.two_hands import look_frames, sees_two
+
+    frames = look_frames(len(time))
+    found = 0
+    for one in images:
+        landmarks, score = detect_several((one[f] for f in frames), time[frames], model, 2)
+        found += int(np.sum(sees_two(landmarks, score)))
+    return found >= 2

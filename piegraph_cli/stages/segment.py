@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import MissingError, UsageError
+from piegraph_cli.errors import MissingError
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -15,7 +15,7 @@ STAGE = Stage(
     ("frames", "hands"),
     "masks",
     SegmentParams,
-    version=1,
+    version=2,
     run="piegraph_cli.stages.segment:run",
 )
 
@@ -25,6 +25,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     import numpy as np
 
     from piegraph_cli.perception import sam, segmentation
+    from piegraph_cli.perception.others import without_others
     from piegraph_cli.recording.images import encode_masks
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of, workspace_of
 
@@ -34,14 +35,12 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
     hand_px = hands["landmarks"].astype(np.float64)
     workspace = workspace_of(frames)
-    unknown = set(params.prompts) - {c.name for c in cameras}
-    if unknown:
-        raise UsageError(f"segment.prompts names no camera of this recording: {', '.join(unknown)}", str(frames.path))
-    seed = _seed(params, color, depth, cameras, hand_px, workspace)
+    seed = _seed(params, color, depth, cameras, hand_px, workspace, hands["end_effector"].astype(np.float64))
     network = _network(params) if params.segmenter == "sam" else None
     masks = []
+    images, depths = without_others(color, depth, cameras, seed)
     for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
-        given = (color[c], depth[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
+        given = (images[c], depths[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
         if network is None:
             masks.append(segmentation.segment_sequence(*given))
         else:
@@ -54,7 +53,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     quality = (
         f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
     )
-    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality)
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, seed.warnings)
 
 
 def _network(params: SegmentParams) -> Any:
@@ -69,12 +68,15 @@ def _network(params: SegmentParams) -> Any:
     return load_sam(params.sam_checkpoint, params.sam_model)
 
 
-def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace) -> "ObjectSeed":
-    """Where the object is first: found by geometry; with a prompt for every camera, in the first frame."""
+def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace, tips) -> "ObjectSeed":
+    """Where the object is first: where prompts say, else found by geometry, touch and motion."""
     import numpy as np
 
+    from piegraph_cli.perception.prompts import check_prompts, prompted_object
     from piegraph_cli.perception.seeds import ObjectSeed, find_object
 
+    check_prompts(params, cameras)
     if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
         return ObjectSeed(0, [np.zeros((camera.height, camera.width), bool) for camera in cameras])
-    return find_object(color, depth, cameras, hand_px, workspace, params)
+    find = prompted_object if params.prompts or params.points else find_object
+    return find(color, depth, cameras, hand_px, workspace, params, tips)

@@ -1,5 +1,6 @@
 """A tiny ray caster: a T of two boxes on a striped table, and a hand and forearm of skin-coloured capsules."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,12 +28,13 @@ def ring_camera(azimuth: float, name: str = "cam", width: int = 212, height: int
 
 @dataclass
 class View:
-    """What one camera records, and the truth: image [H, W, 3], depth uint16 mm [H, W], object and hand [H, W] bool."""
+    """What one camera records, and the truth: image [H, W, 3], depth uint16 mm [H, W], object, hand and boxes [H, W] bool."""
 
     image: np.ndarray
     depth: np.ndarray
     object: np.ndarray
     hand: np.ndarray
+    beside: np.ndarray
 
 
 def hand_pose(tip: np.ndarray) -> np.ndarray:
@@ -45,10 +47,25 @@ def hand_pose(tip: np.ndarray) -> np.ndarray:
     return hand + tip
 
 
+@dataclass(frozen=True)
+class Box:
+    """A box that lies beside the T, sizes in metres."""
+
+    centre: tuple[float, float]
+    size: tuple[float, float, float]
+    colour: tuple[int, int, int] = (40, 90, 190)
+
+
 def render(
-    camera: Camera, centre: tuple, yaw: float, hand: np.ndarray | None, height: float = 0.03, seed: int = 0
+    camera: Camera,
+    centre: tuple,
+    yaw: float,
+    hand: np.ndarray | None,
+    height: float = 0.03,
+    seed: int = 0,
+    beside: Sequence[Box] = (),
 ) -> View:
-    """One view of the T at `centre` [2] (m), turned by `yaw`, `height` (m) thick, with or without a hand."""
+    """One view of the T at `centre` [2] (m), turned by `yaw`, `height` (m) thick, with or without hand and boxes."""
     rng = np.random.default_rng(seed)
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).reshape(-1, 2)
     rays = camera.rays(grid) @ camera.T_world_camera[:3, :3].T
@@ -63,10 +80,14 @@ def render(
         elbow = hand[0] + 2.5 * (hand[0] - hand[9])
         bones = [(hand[a], hand[b], 0.009) for a, b in BONES] + [(hand[0], elbow, 0.03), (hand[0], hand[9], 0.02)]
         parts += [_capsule(origin, rays, a, b, radius) for a, b, radius in bones]
-    for n, (reach, facing) in enumerate(parts):
+    kinds = [1, 1] + [2] * (len(parts) - 2) + [3 + n for n in range(len(beside))]
+    parts += [_box(origin, rays, b.centre, 0.0, (0, 0, *b.size[:2]), b.size[2]) for b in beside]
+    for one, (reach, facing) in zip(kinds, parts, strict=True):
         nearer = reach < z
         z = np.where(nearer, reach, z)
-        normal[nearer], kind[nearer] = facing[nearer], 1 if n < 2 else 2
+        normal[nearer], kind[nearer] = facing[nearer], one
+    for n, box in enumerate(beside):
+        colour[kind == 3 + n] = box.colour
     colour = np.where(kind[:, None] == 1, BLUE, np.where(kind[:, None] == 2, SKIN, colour))
     shade = 0.45 + 0.55 * np.clip(normal @ LIGHT, 0, 1)
     shape = (camera.height, camera.width)
@@ -78,6 +99,7 @@ def render(
         depth.clip(0, 65535).round().astype(np.uint16).reshape(shape),
         (kind == 1).reshape(shape),
         (kind == 2).reshape(shape),
+        (kind > 2).reshape(shape),
     )
 
 
@@ -109,7 +131,12 @@ def _capsule(origin, rays, a, b, radius):
     return best, facing
 
 
-def pushing_sequence(frames: int, cameras: list[Camera], height: float = 0.03) -> tuple[list[list[View]], np.ndarray]:
+def pushing_sequence(
+    frames: int,
+    cameras: list[Camera],
+    height: float = 0.03,
+    beside: Callable[[int], Sequence[Box]] = lambda frame: (),
+) -> tuple[list[list[View]], np.ndarray]:
     """Views [frame][camera] and hands [F, 21, 3] (m): the hand comes closer, then pushes the T along -x, turning it."""
     views, hands = [], []
     for f in range(frames):
@@ -117,5 +144,8 @@ def pushing_sequence(frames: int, cameras: list[Camera], height: float = 0.03) -
         centre, yaw = (0.03 - 0.15 * moved, 0.02), 0.5 * moved
         tip = np.array([centre[0] + 0.115 + max(0.0, (frames * 0.4 - f) / frames) * 0.25, 0.02, 0.02])
         hands.append(hand_pose(tip))
-        views.append([render(c, centre, yaw, hands[-1], height, seed=100 * f + n) for n, c in enumerate(cameras)])
+        row = [
+            render(c, centre, yaw, hands[-1], height, seed=100 * f + n, beside=beside(f)) for n, c in enumerate(cameras)
+        ]
+        views.append(row)
     return views, np.array(hands)

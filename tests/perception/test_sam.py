@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from piegraph_cli.errors import DataError, MissingError, UsageError
 from piegraph_cli.perception import sam_models
+from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.sam import SamPrompt, automatic_prompt, predict_mask, segment_sequence
-from piegraph_cli.perception.seeds import SegmentParams
 from tests.perception.scene import WORKSPACE, pushing_sequence, ring_camera
 from tests.perception.tiny_sam import tee
 

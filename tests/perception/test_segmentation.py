@@ -7,7 +7,8 @@ import pytest
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.colour import lab_bins
 from piegraph_cli.perception.hand_region import hand_region
-from piegraph_cli.perception.seeds import SegmentParams, find_object
+from piegraph_cli.perception.params import SegmentParams
+from piegraph_cli.perception.seeds import find_object
 from piegraph_cli.perception.segmentation import ON_HAND, learn_object, object_score, segment_sequence
 from piegraph_cli.recording.camera import Camera
 from tests.perception.scene import WORKSPACE, pushing_sequence, render, ring_camera

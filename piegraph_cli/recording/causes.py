@@ -159,17 +159,15 @@ def find_cause(
     def worst(cameras: Sequence[int], poses_of: Callable[[int], np.ndarray], scale: float = 1.0) -> float:
         return max(min(likely(fault_of(p, poses_of(c), table, scale)) for p in planes[c]) for c in cameras)
 
-    tests: list[Callable[[], Cause | None]] = [
-        lambda: _swapped(suspect, names, poses, worst),
-        lambda: _changed(bad, poses, depth_scales, worst, table),
-        lambda: _scaled(bad, faults, poses, names, table),
-    ]
-    # few changes before many: one that puts all tables right is hardly chance
-    for test in tests:
-        found = test()
-        if found:
-            return found
-    who, angle = listed([names[c] for c in bad]), max(faults[c].tilt for c in bad)
+    found = (
+        _swapped(suspect, names, poses, worst)
+        or _changed(bad, poses, depth_scales, worst, table)
+        or _scaled(bad, faults, poses, names, table)
+    )
+    if found:
+        return found
+    who = listed([names[c] for c in bad])
+    angle = max(faults[c].tilt for c in bad)
     return Cause(
         f"the pose of {who} is off (tilt {angle:.1f} deg); nothing simple explains it",
         "calibrate again with the board flat on the table (`piegraph calibrate`)",
@@ -181,7 +179,7 @@ def find_cause(
 def _changed(
     bad: Sequence[int], poses: Sequence[np.ndarray], depth_scales: Sequence[float], worst: Callable, table: float
 ) -> Cause | None:
-    """The fewest common slips that bring all tables right."""
+    """The fewest common slips that bring all tables right: that is hardly chance."""
     best: tuple[int, float, tuple[_Change, ...]] | None = None
     for changes in _COMBINED:
         made = _made(changes)

@@ -215,6 +215,7 @@ def _check_edges(look: _Look) -> Check | None:
     if shift.gain < GAIN[0]:
         verdict = "good"
     text = f"edges of depth lie {-shift.x}, {-shift.y} px (right, down) of those of colour"
-    cause = f"moving depth by {shift.x}, {shift.y} px lays its edges on those of colour" if verdict != "good" else ""
+    moving = f"moving depth by {shift.x}, {shift.y} px lays its edges on those of colour"
+    cause = f"depth is not registered to colour: {moving}" if verdict != "good" else ""
     remedy = "register depth to colour when recording (RealSense: align to color)" if verdict != "good" else ""
     return Check("edges", (look.camera.name,), pixels, "px", allowed, verdict, text, cause, remedy)

@@ -123,6 +123,18 @@ def test_the_table_names_what_it_shows():
     assert trial_lines([], [], 3) == []
 
 
+def test_models_without_a_common_task_are_not_compared_in_the_table():
+    alone = trial("other", 7, 0.2, 0.1)
+    rows, compared = summarise_trials([*TRIALS, alone], LIMITS), compare_trials([*TRIALS, alone], LIMITS)
+    assert ["pd" in row for row in compared] == [True, False, False]
+    lines = trial_lines(rows, compared, 3)
+    (head,) = (k for k, line in enumerate(lines) if line.startswith("Cliffs delta"))
+    assert " ".join(lines[head].split()) == "Cliffs delta pairs final PD strokes to 2 cm"
+    assert [line.split()[1:5] for line in lines[head + 1 :]] == [["good", "over", "bad", "2"]]
+    assert not any("Cliffs" in line for line in trial_lines(rows, [], 3))
+    assert not any("Cliffs" in line for line in trial_lines(rows, compared[1:], 3))
+
+
 def test_figures_show_every_environment_and_model(tmp_path):
     trials = [*TRIALS, trial("bad", 0, 0.2, 0.3, environment="rope-stiff")]
     boxes = box_figure(trials, compare_trials(trials, LIMITS), 0.02, 3)

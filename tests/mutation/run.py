@@ -55,7 +55,7 @@ ROOMS = ("dynamics", "evaluation", "experiments", "planning", "stages", "workspa
 EVERYTHING = (*(f"tests/{room}" for room in ROOMS), "tests/test_experiments.py")
 """What is run, beside those, where those did not notice."""
 LONG = ("test_every_trained_model_learns_and_goes_on_from_its_state",)
-PROGRAMS = ("piegraph", "piegraph_json", "subprocess", "Popen", "tiny_run", "sample_run", "planner", "sam_checkpoint")
+PROGRAMS = ("piegraph", "piegraph_json", "subprocess", "Popen", "tiny_run", "sample_run", "sam_checkpoint")
 """Tests that call or need one of these start programs, or train for long: they are left out, for they take minutes."""
 EASE, FACTOR = 10.0, 3.0
 """Seconds, and times what all tests take without a change, after which they are stopped: they would go on for ever."""

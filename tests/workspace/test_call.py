@@ -4,13 +4,15 @@ from pathlib import Path
 from typing import Literal, get_args, get_origin
 
 import pytest
+from pydantic import Field
 
 from piegraph_cli.dynamics.params import TrainParams
 from piegraph_cli.environments.params import SimulateParams
+from piegraph_cli.params import Params
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.planning.params import PlanParams, TrialsParams
 from piegraph_cli.stages import STAGES
-from piegraph_cli.workspace.call import options_of
+from piegraph_cli.workspace.call import Option, options_of
 
 
 @pytest.mark.parametrize(
@@ -43,6 +45,13 @@ def test_choices_stay_choices():
     assert (get_origin(planner.kind), get_args(planner.kind)) == (Literal, ("cem", "mppi", "greedy"))
     assert (get_origin(env.kind), env.default) == (Literal, "")
     assert planner.default == "cem"
+
+
+def test_none_may_come_first():
+    class Odd(Params):
+        count: None | int = Field(None, description="how many")  # noqa: RUF036
+
+    assert options_of(Odd) == {"count": Option(int, "how many")}
 
 
 def test_tables_are_no_options():

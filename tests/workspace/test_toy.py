@@ -302,6 +302,7 @@ def test_other_processes_find_what_is_known_when_they_start(folder, monkeypatch)
         known._known_of.cache_clear()
         (folder / known.NAME).unlink(missing_ok=True)
         run_stage(run, stage, options)
+        assert (folder / known.NAME).exists(), "what a stage found out is kept after it too"
     run_stage(run, GATHER, Options(only=("s0",), force=True, backend="ray"))
     assert begun == [
         (2, "local", UNITS, True),
@@ -309,8 +310,6 @@ def test_other_processes_find_what_is_known_when_they_start(folder, monkeypatch)
         (1, "local", [None], False),
         (1, "ray", ["s0"], True),
     ]
-    known._known_of.cache_clear()
-    assert (folder / known.NAME).exists(), "and what the stage found out is kept"
 
 
 def test_an_item_that_is_lost_is_a_failure_of_its_unit(folder, monkeypatch):

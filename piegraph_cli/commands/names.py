@@ -4,6 +4,7 @@ from pathlib import Path
 
 from piegraph_cli.dynamics.params import MODEL_HELP
 from piegraph_cli.environments.params import ENVIRONMENT_HELP
+from piegraph_cli.recording.params import LAYOUT_HELP
 from piegraph_cli.workspace.recipe import SHIPPED
 
 
@@ -27,7 +28,18 @@ def experiments() -> dict[str, str]:
     return {path.stem: _first_line(path) for path in sorted((SHIPPED / "experiments").glob("[!.]*.toml"))}
 
 
-KINDS = {"models": models, "environments": environments, "recipes": recipes, "experiments": experiments}
+def layouts() -> dict[str, str]:
+    """Layouts of recordings, for `ingest --layout`."""
+    return LAYOUT_HELP
+
+
+KINDS = {
+    "models": models,
+    "environments": environments,
+    "recipes": recipes,
+    "experiments": experiments,
+    "layouts": layouts,
+}
 
 
 def _first_line(path: Path) -> str:

@@ -13,12 +13,12 @@ from piegraph_cli.commands.output import Report, emit
 
 def list_names(
     kind: Annotated[
-        Literal["models", "environments", "recipes", "experiments"] | None,
+        Literal["models", "environments", "recipes", "experiments", "layouts"] | None,
         typer.Argument(metavar="KIND", help="[default: all]"),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List models, environments, recipes and experiments by name."""
+    """List models, environments, recipes, experiments and layouts of recordings by name."""
     found = {name: names() for name, names in KINDS.items() if kind in (None, name)}
     width = max(len(name) for names in found.values() for name in names)
     lines = []

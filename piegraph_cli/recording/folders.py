@@ -1,6 +1,7 @@
 """The sequence folders of a recording. Nothing heavy is imported: whoever lists a run's sequences asks here first."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from piegraph_cli.errors import DataError
@@ -8,8 +9,8 @@ from piegraph_cli.errors import DataError
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
-def list_sequences(recording: Path) -> list[Path]:
-    """The sequence folders of a recording, sorted by name: folders that hold at least one camera folder."""
+def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
+    """The sequence folders of a recording, sorted by name, in a layout of `SIGNS`; by default the first that fits."""
     if not recording.is_dir() and recording.is_relative_to(PACKAGE):
         raise DataError(
             "the sample recording is not part of the installed package",
@@ -18,15 +19,28 @@ def list_sequences(recording: Path) -> list[Path]:
         )
     if not recording.is_dir():
         raise DataError("no such recording folder", str(recording), "give the folder that holds cameras.json")
-    folders = [path for path in entries_of(recording) if path.is_dir()]
-    sequences = sorted(p for p in folders if any((c / "color").is_dir() for c in entries_of(p)))
-    if not sequences:
-        raise DataError(
-            "no sequence found",
-            str(recording),
-            "expected SEQUENCE/CAMERA/color/000000.jpg below it; see docs/formats.md",
-        )
-    return sequences
+    folders = sorted(path for path in entries_of(recording) if path.is_dir())
+    for name in _wanted(layout):
+        sequences = [path for path in folders if SIGNS[name](path)]
+        if sequences:
+            return sequences
+    if any(SIGNS[name](recording) for name in _wanted(layout)):
+        hint = f"give the folder above it: {recording.resolve().parent}"
+        raise DataError("this is one sequence, not a recording of sequences", str(recording), hint)
+    raise DataError(
+        "no sequence found" + (f" in the layout {layout}" if layout != "auto" else ""),
+        str(recording),
+        "expected SEQUENCE/CAMERA/color/000000.jpg below it; see docs/formats.md",
+    )
+
+
+def layout_of(sequence: Path, layout: str = "auto") -> str:
+    """The layout of a sequence folder: the one given, or the first of `SIGNS` that fits."""
+    return next((name for name in _wanted(layout) if SIGNS[name](sequence)), _wanted(layout)[0])
+
+
+def _wanted(layout: str) -> list[str]:
+    return list(SIGNS) if layout == "auto" else [layout]
 
 
 def entries_of(folder: Path) -> list[Path]:
@@ -43,3 +57,19 @@ def calibration_sequences(sequences: list[Path]) -> set[str]:
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             continue  # reading the sequence says what is wrong
     return {path.name for path in sequences} & {name for name in found if isinstance(name, str)}
+
+
+def _is_ours(folder: Path) -> bool:
+    return any((camera / "color").is_dir() for camera in entries_of(folder))
+
+
+def _is_tum(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+
+
+def _is_gbnd(folder: Path) -> bool:
+    return any((camera / "camera_params.npy").is_file() for camera in entries_of(folder))
+
+
+SIGNS: dict[str, Callable[[Path], bool]] = {"piegraph": _is_ours, "tum": _is_tum, "gbnd": _is_gbnd}
+"""How the folder of a sequence is told, by layout."""

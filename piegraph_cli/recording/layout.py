@@ -159,7 +159,11 @@ def _distortion(values: list[float], name: str, where: str) -> np.ndarray:
 
 
 def _transform(values: list[list[float]], name: str, where: str, hint: str) -> np.ndarray:
-    T = _matrix(values, 4, name, where)
+    return check_transform(_matrix(values, 4, name, where), name, where, hint)
+
+
+def check_transform(T: np.ndarray, name: str, where: str, hint: str) -> np.ndarray:
+    """A matrix [4, 4], if it is a rigid transform. Raises `DataError` where it is not."""
     if not np.allclose(T[3], [0, 0, 0, 1]):
         raise DataError(f"{name} must be a finite 4 x 4 rigid transform", where, hint)
     if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
@@ -210,7 +214,7 @@ def read_color(path: Path, camera: Camera) -> bytes:
 
     data = path.read_bytes()
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    image = _check_image(image, path, camera)
+    image = _check_image(image, path, camera.name)
     if image.shape[:2] != (camera.height, camera.width):
         raise DataError(
             f"image is {image.shape[1]} x {image.shape[0]}, cameras.json says {camera.width} x {camera.height}",
@@ -226,7 +230,7 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
 
     data = path.read_bytes()
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    image = _check_image(image, path, camera)
+    image = _check_image(image, path, camera.name)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DataError(f"depth must be a one-channel 16-bit PNG, got {image.dtype} {image.shape}", str(path))
     view = camera.depth_view or camera
@@ -243,10 +247,20 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
     return image
 
 
-def _check_image(image: np.ndarray | None, path: Path, camera: Camera) -> np.ndarray:
+def image_size(path: Path, camera: str) -> tuple[int, int]:
+    """Width and height of an image, px."""
+    import cv2
+
+    data = path.read_bytes()
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    height, width = _check_image(image, path, camera).shape[:2]
+    return width, height
+
+
+def _check_image(image: np.ndarray | None, path: Path, camera: str) -> np.ndarray:
     if image is None:
         raise DataError(
-            f"image of camera {camera.name}, frame {path.stem} cannot be decoded",
+            f"image of camera {camera}, frame {path.stem} cannot be decoded",
             str(path),
             "record it again, or remove this frame from every camera and from timestamps.txt",
         )

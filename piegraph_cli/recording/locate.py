@@ -59,7 +59,7 @@ def calibrate(recording: Path, sequence: str | None, board: Board) -> Calibratio
     Where a board is not found or fits badly, its layout before OpenCV 4.6 is tried as well. cameras.json is replaced
     once all cameras are located; before that nothing is written.
     """
-    folders = {folder.name: folder for folder in list_sequences(recording)}
+    folders = {folder.name: folder for folder in list_sequences(recording, "piegraph")}
     if sequence is not None and sequence not in folders:
         raise DataError(f"no sequence {sequence}", str(recording), f"one of {', '.join(folders)}")
     folder = folders[sequence] if sequence is not None else next(iter(folders.values()))

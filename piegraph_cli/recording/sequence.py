@@ -1,34 +1,22 @@
 """One recorded sequence, checked, on one clock, as arrays."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.folders import layout_of
 from piegraph_cli.recording.images import encode_depth, join_images
-from piegraph_cli.recording.layout import frame_files, read_cameras, read_color, read_depth, read_times
-from piegraph_cli.recording.numbers import frame_numbers, match_stamps
+from piegraph_cli.recording.layout import read_color, read_depth
 from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.readers import read_films
 from piegraph_cli.recording.registration import register_depth
-from piegraph_cli.recording.timing import align_frames, check_times
+from piegraph_cli.recording.timing import align_frames
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
-
-
-@dataclass(frozen=True)
-class Film:
-    """One camera's images of a sequence, with their time stamps."""
-
-    camera: Camera
-    times: np.ndarray
-    """[image] s, rising."""
-    files: list[tuple[Path, Path]]
-    """Colour and depth of each image."""
-    numbers: np.ndarray
-    """[image] what each is called by in the recording."""
 
 
 def read_sequence(
@@ -38,11 +26,7 @@ def read_sequence(
 
     Raises `DataError` naming file, camera and frame.
     """
-    films, warnings = [], []
-    for camera in read_cameras(folder):
-        film, gaps = read_film(folder, camera)
-        films.append(film)
-        warnings += gaps
+    films, warnings = read_films(folder, layout_of(folder, params.layout))
     time, source, alone = align_frames(
         {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
     )
@@ -66,18 +50,6 @@ def read_sequence(
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
     return arrays, warnings
-
-
-def read_film(folder: Path, camera: Camera) -> tuple[Film, list[str]]:
-    """One camera's images of a sequence folder with their checked time stamps, and warnings of gaps."""
-    where = str(folder / camera.name)
-    stamps, files = read_times(folder, camera), frame_files(folder, camera)
-    if not files and not len(stamps):
-        raise DataError(f"camera {camera.name} has no frames", str(folder), "see docs/formats.md for the layout")
-    color = [path for path, _ in files]
-    lines, gaps = match_stamps(color, len(stamps), where)
-    gaps += check_times(stamps, str(folder / camera.name / "timestamps.txt"))
-    return Film(camera, stamps[lines], files, frame_numbers(color)), gaps
 
 
 def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> tuple[dict[str, np.ndarray], np.ndarray]:

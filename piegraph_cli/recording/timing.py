@@ -67,8 +67,8 @@ def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tu
         spans = " and ".join(f"{names[c]} {stamps[c][0]:.2f} to {stamps[c][-1]:.2f} s" for c in (early, late))
         raise DataError(f"cameras share no time: {spans}", where, "give all cameras one clock")
     lead = min(stamps, key=len)
-    groups = np.stack([_nearest(lead, other) for other in stamps], 1)
-    mutual = np.all([_nearest(o, lead)[groups[:, c]] == np.arange(len(lead)) for c, o in enumerate(stamps)], axis=0)
+    groups = np.stack([nearest(lead, other) for other in stamps], 1)
+    mutual = np.all([nearest(o, lead)[groups[:, c]] == np.arange(len(lead)) for c, o in enumerate(stamps)], axis=0)
     found = np.stack([other[groups[:, c]] for c, other in enumerate(stamps)], 1)
     skew = np.ptp(found, axis=1)
     kept = mutual & (skew <= max_skew)
@@ -96,7 +96,7 @@ def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tu
     return groups, [f"{message}; first: frame {frames[0]} of {name}"]
 
 
-def _nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:
+def nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:
     """The index of the nearest of rising `others` for each of `stamps`; of two as near the earlier one."""
     after = np.searchsorted(others, stamps).clip(1, max(len(others) - 1, 1))
     before = after - 1

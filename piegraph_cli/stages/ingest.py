@@ -16,11 +16,12 @@ def _units(run: "Run") -> Sequence[Unit]:
     """The sequences of the recording; those that were read, where it is gone. Some are left out."""
     from piegraph_cli.recording.folders import calibration_sequences, list_sequences
 
-    recording, exclude = recording_of(run), set(run.params(STAGE.name).exclude)
+    params = run.params(STAGE.name)
+    recording, exclude = recording_of(run), set(params.exclude)
     if not recording.exists() and (run.folder / "frames").is_dir():
         read = sorted(path.stem for path in (run.folder / "frames").glob("[!.]*.h5"))
         return [name for name in read if name not in exclude]
-    folders = list_sequences(recording)
+    folders = list_sequences(recording, params.layout)
     names = [folder.name for folder in folders]
     unknown = sorted(exclude - {*names, ""})
     if unknown:
@@ -72,6 +73,6 @@ def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Outpu
     time, cameras = arrays["time"], arrays["camera_name"]
     quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s, geometry {geometry}"
     if context.unit == context.run.units(STAGE)[0]:
-        board = calibration_sequences(list_sequences(folder.parent))
+        board = calibration_sequences(list_sequences(folder.parent, params.layout))
         warnings += [f"{name} is left out: by cameras.json it shows the calibration board" for name in sorted(board)]
     return Output(arrays | checked, quality, warnings + doubts)

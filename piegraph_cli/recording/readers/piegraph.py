@@ -1,0 +1,28 @@
+"""The layout of docs/formats.md."""
+
+from pathlib import Path
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.layout import frame_files, read_cameras, read_times
+from piegraph_cli.recording.numbers import frame_numbers, match_stamps
+from piegraph_cli.recording.timing import check_times
+
+
+def read(folder: Path) -> tuple[list[Film], list[str]]:
+    """The films of a sequence folder, one a camera, and warnings."""
+    read = [read_film(folder, camera) for camera in read_cameras(folder)]
+    return [film for film, _ in read], [gap for _, gaps in read for gap in gaps]
+
+
+def read_film(folder: Path, camera: Camera) -> tuple[Film, list[str]]:
+    """One camera's images of a sequence folder with their checked time stamps, and warnings of gaps."""
+    where = str(folder / camera.name)
+    stamps, files = read_times(folder, camera), frame_files(folder, camera)
+    if not files and not len(stamps):
+        raise DataError(f"camera {camera.name} has no frames", str(folder), "see docs/formats.md for the layout")
+    color = [path for path, _ in files]
+    lines, gaps = match_stamps(color, len(stamps), where)
+    gaps += check_times(stamps, str(folder / camera.name / "timestamps.txt"))
+    return Film(camera, stamps[lines], files, frame_numbers(color)), gaps

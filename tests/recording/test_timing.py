@@ -1,0 +1,44 @@
+"""Which frames of several cameras belong together."""
+
+import numpy as np
+import pytest
+
+from piegraph_cli.errors import DataError
+from piegraph_cli.recording.timing import check_times, nearest, pair_frames
+
+
+def test_no_frame_is_used_twice_where_the_step_is_shorter_than_the_skew():
+    a, b = np.delete(np.arange(60) / 30, 10), np.delete(np.arange(60) / 30 + 0.004, 40)
+    groups, warnings = pair_frames({"a": a, "b": b}, 0.05, "here")
+    assert len(groups) == 58
+    np.testing.assert_allclose(b[groups[:, 1]] - a[groups[:, 0]], 0.004, atol=1e-9)
+    assert "left out: a 1 of 59, b 1 of 59; first: frame 39 of a" in warnings[0]
+
+
+def test_a_pair_farther_apart_than_the_skew_is_none():
+    a = np.arange(10) / 5
+    b = a.copy()
+    b[3] += 0.08
+    groups, _ = pair_frames({"a": a, "b": b}, 0.05, "here")
+    assert groups[:, 0].tolist() == [0, 1, 2, *range(4, 10)]
+
+
+def test_cameras_without_one_clock_are_refused():
+    a = np.arange(10) / 5
+    with pytest.raises(DataError, match="a and b are 100 ms apart in frame 0; 0 of 10 frames"):
+        pair_frames({"a": a, "b": a + 0.1}, 0.05, "here")
+    with pytest.raises(DataError, match=r"share no time: a 0\.00 to 1\.80 s and b 60\.00 to"):
+        pair_frames({"a": a, "b": a + 60}, 0.05, "here")
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_nearest(count):
+    others, stamps = np.arange(count) * 2.0, np.linspace(-3, 12, 31)
+    np.testing.assert_array_equal(nearest(stamps, others), np.abs(stamps[:, None] - others).argmin(1))
+
+
+def test_gaps_are_said_and_small_ones_are_not():
+    assert check_times(np.array([0, 0.2, 0.4, 1.3, 1.5]), "t") == []
+    (said,) = check_times(np.array([0, 0.2, 0.4, 4.4, 4.6]), "t")
+    assert said == "t: 4.0 s without a frame before line 4"
+    assert check_times(np.array([3.0]), "t") == []

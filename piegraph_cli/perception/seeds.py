@@ -52,10 +52,8 @@ def find_object(
     best: tuple[int, Choice] | None = None
     several = False
     for f in frames:
-        views = [
-            view_of(images[c][f], depths[c][f], camera, hand_px[f, c], workspace, params)
-            for c, camera in enumerate(cameras)
-        ]
+        given = enumerate(cameras)
+        views = [view_of(images[c][f], depths[c][f], one, hand_px[f, c], workspace, params) for c, one in given]
         parts = parts_of(views, workspace, params)
         if not parts:
             continue
@@ -69,14 +67,17 @@ def find_object(
         if best[1].part.clearance >= CLEAR and (best[1].rank < UNCLEAR or not best[1].rivals):
             break
     if best is None:
-        names = ", ".join(camera.name for camera in cameras)
-        raise DataError(
-            f"no object found: nothing inside the workspace stands out from the table in {len(frames)} frames tried",
-            f"cameras {names}",
-            "check --workspace and the table plane (z = 0), or lower --min-height or --min-contrast",
-        )
+        raise _nothing(len(frames), cameras)
     frame, choice = best
     return ObjectSeed(frame, choice.part.masks, choice.others, _doubts(frame, choice, cameras))
+
+
+def _nothing(tried: int, cameras: Sequence[Camera]) -> DataError:
+    return DataError(
+        f"no object found: nothing inside the workspace stands out from the table in {tried} frames tried",
+        f"cameras {', '.join(camera.name for camera in cameras)}",
+        "check --workspace and the table plane (z = 0), or lower --min-height or --min-contrast",
+    )
 
 
 def _worth(choice: Choice) -> tuple[int, float]:

@@ -28,7 +28,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     """Find the hand in one sequence."""
     import numpy as np
 
-    from piegraph_cli.perception.hands import detect_several, end_effector, lift_hands
+    from piegraph_cli.perception.hands import end_effector, lift_hands
     from piegraph_cli.perception.two_hands import separate_hands, travel
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of
     from piegraph_cli.weights import cached_weights
@@ -36,22 +36,9 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     frames: Any = inputs["frames"]
     cameras, color, depth, time = cameras_of(frames), color_of(frames), depth_of(frames), frames["time"]
     model = params.hand_model or cached_weights("hand-landmarker")
-    images = [color.of_camera(c) for c in range(len(cameras))]
-    hands = 2 if _second_hand(images, time, model) else 1
-    landmarks = np.stack(
-        [
-            detect_several(context.progress(images[c], f"hands {camera.name}", len(time)), time, model, hands)[0]
-            for c, camera in enumerate(cameras)
-        ],
-        axis=1,
-    )
-    if not np.isfinite(landmarks).any():
-        raise DataError(
-            f"no camera sees a hand in frames 0 to {len(time) - 1}",
-            f"{frames.path}, cameras {', '.join(c.name for c in cameras)}",
-            "check that the hand is in view and lit, or remove this sequence",
-        )
-    each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
+    landmarks = _landmarks(frames, cameras, color, time, model, context)
+    both = landmarks.shape[2] == 2
+    each = separate_hands(landmarks, depth.depth, cameras) if both else landmarks[None, :, :, 0]
     tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
     ways = [travel(end_effector(track.keypoints)) for track in tracks]
     hand = tracks[int(np.argmax(ways))]
@@ -65,16 +52,35 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     }
     rates = ", ".join(f"{c.name} {rate:.0%}" for c, rate in zip(cameras, hand.seen.mean(0), strict=True))
     quality = f"hand in {hand.seen.any(1).mean():.0%} of {len(time)} frames ({rates})"
-    if hands == 2:
+    if both:
         quality += f"; of two hands the one that moves {max(ways) * 1000:.0f} mm, not {min(ways) * 1000:.0f} mm"
     warnings = []
-    if hands == 2 and min(ways) > BOTH_MOVE:
-        warnings.append(
-            f"two hands move, {ways[0] * 1000:.0f} and {ways[1] * 1000:.0f} mm: the one that moves more is taken"
-        )
+    if both and min(ways) > BOTH_MOVE:
+        warnings.append("two hands move: the one that moves more is taken, and strokes of the other are not seen")
     if hand.observed.mean() < POOR:
         warnings.append(f"hand found in {hand.observed.mean():.0%} of the frames only: see `piegraph report`")
     return Output(arrays, quality, warnings)
+
+
+def _landmarks(frames: Any, cameras: list, color: Any, time: "np.ndarray", model: "Path", context: Context) -> Any:
+    """Landmarks [F, C, N, 21, 2] (px) of one hand, or of two where two are seen."""
+    import numpy as np
+
+    from piegraph_cli.perception.hands import detect_several
+
+    images = [color.of_camera(c) for c in range(len(cameras))]
+    hands = 2 if _second_hand(images, time, model) else 1
+    found = []
+    for one, camera in zip(images, cameras, strict=True):
+        found.append(detect_several(context.progress(one, f"hands {camera.name}", len(time)), time, model, hands)[0])
+    landmarks = np.stack(found, axis=1)
+    if not np.isfinite(landmarks).any():
+        raise DataError(
+            f"no camera sees a hand in frames 0 to {len(time) - 1}",
+            f"{frames.path}, cameras {', '.join(c.name for c in cameras)}",
+            "check that the hand is in view and lit, or remove this sequence",
+        )
+    return landmarks
 
 
 def _second_hand(images: "list[CameraImages]", time: "np.ndarray", model: "Path") -> bool:

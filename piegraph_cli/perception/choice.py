@@ -96,7 +96,7 @@ class Chooser:
         looks = [(int(g), self.change(frame, part, int(g))) for g in self.frames if g != frame]
         looks = [(g, share) for g, share in looks if np.isfinite(share)]
         shares = np.array([share for _, share in looks])
-        rest = float((shares < SAME_PLACE).mean()) if len(shares) else 0.0
+        rest = float((shares < SAME_PLACE).mean()) if len(shares) else 1.0  # where nothing else is known, it is one
         thing = rest >= (AT_REST if part.clearance >= CLEAR else ALWAYS_AT_REST)
         left = next((g for g, share in looks if g > frame and share > LEFT), None)
         lay = [share < SAME_PLACE for g, share in looks if left is not None and g < left]

@@ -97,7 +97,7 @@ def _doubts(frame: int, choice: Choice, cameras: Sequence[Camera]) -> list[str]:
     found = [choice.part, *choice.rivals]
     where = "; ".join(f"({x:+.2f}, {y:+.2f}) m" for x, y in (part.centre for part in found))
     boxes = "; ".join(box for box in (boxed(part, cameras) for part in choice.rivals) if box)
-    advice = f"to take another, give its box in the first frame as segment.prompts, as {boxes}" if boxes else ""
+    advice = f"To take another, give its box in the first frame as segment.prompts, as {boxes}" if boxes else ""
     return [
         *told,
         f"{len(found)} things on the table are {why} (frame {frame}), in the middle at x, y = {where}: the first is "

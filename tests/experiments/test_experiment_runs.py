@@ -126,6 +126,11 @@ def test_results_are_those_of_every_seed(done):
     other = next(t for t in found.trials if (t.model, t.seed) == ("static", middle.seed))
     np.testing.assert_array_equal(shown["piegraph@2"]["pd"], middle.pd)
     np.testing.assert_array_equal(shown["static"]["pd"], other.pd)
+    assert SMALL.trials is not None
+    fewer = SMALL.model_copy(update={"trials": SMALL.trials.model_copy(update={"seeds": 2}), "seeds": (5,)})
+    found = read_results("small", fewer, done)
+    assert len(found.trials) == 4, "of the experiment as it is asked for, not as it was done"
+    assert len(found.metrics["tblock"]["piegraph@2"]) == len(found.models["tblock"]["piegraph@2"]) == 1
     without = read_results("small", SMALL.model_copy(update={"trials": None}), done)
     assert (without.trials, without.shown) == ([], {})
 

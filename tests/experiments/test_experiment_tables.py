@@ -82,6 +82,12 @@ def test_guidance_gains_what_the_unguided_network_is_worse_by():
     assert lines[begin + 2][4:] == ["[+1.00,", "+2.00]", "+165.00", "[+110.00,", "+220.00]"]
 
 
+def test_a_variant_is_compared_with_the_same_variant_unguided_whatever_its_name():
+    of = {"piegraph:as-piegraph@6": [metrics(2.0)], "piegraph-ng:as-piegraph@6": [metrics(3.0)]}
+    value, _ = described(experiment("guidance"), results({"tblock": of}))
+    assert [(r["model"], r["pd"][0]) for r in value["guidance"]] == [("piegraph:as-piegraph", pytest.approx(1))]
+
+
 def test_every_prediction_stands_in_the_row_of_its_environment_horizon_and_model():
     value, lines = described(experiment("guidance"), FOUND)
     rows = {(r["environment"], r["horizon"], r["model"]): r for r in value["predictions"]}

@@ -14,7 +14,7 @@ from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, solid_edges
+from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, _deviation, solid_edges
 from piegraph_cli.planning.search import INFEASIBLE, Search
 
 SQUARE = torch.tensor([[x, y, 0.0] for x in np.linspace(-0.05, 0.05, 6) for y in np.linspace(-0.05, 0.05, 6)]).float()
@@ -195,6 +195,15 @@ def test_cem_ends_when_its_elites_are_as_good_as_the_best():
     assert spared.any()
     assert not picks.strokes[spared].mode.any()
     assert picks.strokes[spared].ends.isnan().all()
+
+
+def test_the_deviation_is_that_of_the_elites_and_never_nothing():
+    values = torch.tensor([[1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 3.0, 4.0], [9.0, 9.0, 9.0, 9.0]])
+    weight = torch.tensor([[0.5], [0.5], [0.0]])
+    found = _deviation(values, weight, (weight * values).sum(0))
+    torch.testing.assert_close(found, torch.tensor([math.sqrt(2) + 1e-4, 1e-4, 1e-4, 1e-4]))
+    alone = _deviation(values, torch.tensor([[0.0], [1.0], [0.0]]), values[1])
+    torch.testing.assert_close(alone, torch.full((4,), 1e-4))
 
 
 @pytest.mark.parametrize("planner", ["cem", "mppi"])

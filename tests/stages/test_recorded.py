@@ -103,14 +103,18 @@ def stubs(scene):
         noted.recorded.append((environment, seed, strokes, [c.name for c in cameras], hand, modes))
         return (frame_of(scene, f) for f in range(FRAMES))
 
-    def detect(images, times, model):
+    def detect(images, times, model, hands):
+        """One hand; of the few images that are looked at for a second one nothing is noted."""
+        images = list(images)
         camera = scene.cameras[len(noted.detected) % 2]
-        noted.detected.append((list(images), times, str(model)))
-        return np.stack([camera.project(joints)[0] for joints in scene.joints]), np.ones(FRAMES)
+        if hands == 2:
+            return np.full((len(images), 2, 21, 2), np.nan), np.zeros((len(images), 2))
+        noted.detected.append((images, times, str(model)))
+        return np.stack([camera.project(joints)[0] for joints in scene.joints])[:, None], np.ones((FRAMES, 1))
 
-    def find(color, depth, cameras, hand_px, workspace, params):
+    def find(color, depth, cameras, hand_px, workspace, params, tips):
         noted.found.append((color, depth, [c.name for c in cameras], hand_px, workspace, params))
-        return seeds.ObjectSeed(2, np.stack([view.object for view in scene.views[2]]))
+        return seeds.ObjectSeed(2, [view.object for view in scene.views[2]])
 
     def masks(images, depths, camera, hand_px, workspace, seed_frame, seed_mask, params):
         noted.segmented.append((images, depths, camera.name, hand_px, workspace, seed_frame, seed_mask, params))
@@ -123,7 +127,7 @@ def stubs(scene):
         patch.setattr(rendering, "truth_arrays", lambda environment, frames: truth_of(scene, frames))
         patch.setattr(rig, "camera_rig", lambda: scene.cameras)
         patch.setattr(hands_of_environments, "load_hand", lambda: "the hand")
-        patch.setattr(hands, "detect_hands", detect)
+        patch.setattr(hands, "detect_several", detect)
         patch.setattr(seeds, "find_object", find)
         patch.setattr(segmentation, "segment_sequence", masks)
         yield noted
@@ -206,7 +210,7 @@ def test_finished_sequences_are_kept_unless_their_settings_change(stubs, tmp_pat
 
 def test_frames_are_what_was_recorded(run, scene):
     frames = run.read("frames", "sequence_0000")
-    assert frames.quality == f"{FRAMES} frames, 2 cameras, 1.2 s"
+    assert frames.quality == f"{FRAMES} frames, 2 cameras, 1.2 s, geometry good"
     for camera, real in zip(cameras_of(frames), scene.cameras, strict=True):
         assert (camera.name, camera.width, camera.height, camera.depth_scale) == (real.name, 106, 80, 0.001)
         for name in ("K", "distortion", "T_world_camera"):
@@ -379,14 +383,16 @@ def test_hands_seen_nowhere_are_an_error_and_seldom_a_warning(run, scene, monkey
     def seeing(*frames: int):
         calls = []
 
-        def detect(images, times, model):
+        def detect(images, times, model, hands):
+            if hands == 2:
+                return np.full((len(times), 2, 21, 2), np.nan), np.zeros((len(times), 2))
             camera = scene.cameras[len(calls)]
             calls.append(list(images))
             pixels = np.stack([camera.project(joints)[0] for joints in scene.joints])
             pixels[[f for f in range(FRAMES) if f not in frames or (len(calls) == 2 and f == 1)]] = np.nan
-            return pixels, np.ones(FRAMES)
+            return pixels[:, None], np.ones((FRAMES, 1))
 
-        monkeypatch.setattr(hands, "detect_hands", detect)
+        monkeypatch.setattr(hands, "detect_several", detect)
         return stage.run(inputs, params, context())
 
     few = seeing(0, 1)
@@ -407,17 +413,24 @@ def test_sam_is_prompted_where_there_are_prompts(run, scene, stubs, monkeypatch)
 
     monkeypatch.setattr(sam, "segment_sequence", masks)
     monkeypatch.setattr(sam_models, "load_sam", lambda checkpoint, model: (str(checkpoint), model))
-    box = (1.0, 2.0, 30.0, 40.0)
+    boxes = {"east": (40.0, 36.0, 66.0, 53.0), "north": (30.0, 36.0, 68.0, 55.0)}
+    box = boxes["north"]
     settings = {"segmenter": "sam", "sam_checkpoint": "sam.pt", "sam_model": "tiny", "sam_every": 4}
     output = segment.run(inputs, SegmentParams(**settings, prompts={"north": box}), context())
     network = ("sam.pt", "tiny")
-    assert seen == [(network, "east", 2, True, 4, None), (network, "north", 2, True, 4, box)]
+    assert seen == [(network, "east", 0, True, 4, None), (network, "north", 0, True, 4, box)], (
+        "one camera tells the other"
+    )
     assert output.quality == f"object in 0% of {FRAMES} frames, 0% of the images, 0 px"
     seen.clear()
-    segment.run(inputs, SegmentParams(**settings, prompts=dict.fromkeys(NAMES, box)), context())
-    assert seen == [(network, name, 0, False, 4, box) for name in NAMES], "nothing has to be found"
-    segment.run(inputs, SegmentParams(prompts=dict.fromkeys(NAMES, box)), context())
-    assert len(seen) == 2, "prompts are for sam alone"
+    segment.run(inputs, SegmentParams(**settings, prompts=boxes), context())
+    assert seen == [(network, name, 0, False, 4, boxes[name]) for name in NAMES], "nothing has to be found"
+    before = len(stubs.segmented)
+    segment.run(inputs, SegmentParams(prompts=boxes), context())
+    assert len(seen) == 2, "without sam"
+    assert [call[5] for call in stubs.segmented[before:]] == [0, 0], "prompts hold for the first frame"
+    with pytest.raises(DataError, match=r"prompts\.north meets nothing"):
+        segment.run(inputs, SegmentParams(prompts={"north": (1.0, 2.0, 5.0, 6.0)}), context())
     with pytest.raises(UsageError, match="names no camera of this recording: west"):
         segment.run(inputs, SegmentParams(prompts={"west": box}), context())
     with pytest.raises(MissingError, match="needs weights"):

@@ -266,7 +266,7 @@ def test_chunks_are_whole_rows_of_a_megabyte_at_most(tmp_path):
     write_artifact(path, "clouds", clouds(1) | one, stage="s", stage_version=1, key="k", params={}, inputs={})
     with h5py.File(path) as file:
         assert file["points"].chunks is None
-        assert read_artifact(path)["points"].shape == (0, 3)
+    assert read_artifact(path)["points"].shape == (0, 3)
 
 
 @pytest.mark.parametrize(

@@ -56,21 +56,15 @@ class HandTrack:
     """[F, C] share of the landmarks that have a plausible depth in a camera that saw the hand, NaN where it did not."""
 
 
-def detect_hands(images: Iterable[np.ndarray], times: np.ndarray, model_path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Hand landmarks of one camera: pixels [F, 21, 2] (column, row; NaN where unseen) and score [F] (0 where unseen).
-
-    `images` are RGB uint8 [H, W, 3] in order of `times` [F] (s). Follows one hand from frame to frame.
-    Raises MissingError where the model file is missing or unreadable.
-    Source: paper, section III-D (MediaPipe Hands).
-    """
-    landmarks, score = detect_several(images, times, model_path, 1)
-    return landmarks[:, 0], score[:, 0]
-
-
-def detect_several(
+def detect_hands(
     images: Iterable[np.ndarray], times: np.ndarray, model_path: Path, hands: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks [F, N, 21, 2] and scores [F, N] of up to N = `hands` hands, else as `detect_hands`; in no lasting order."""
+    """Landmarks of up to N = `hands` hands of one camera: pixels [F, N, 21, 2] (column, row; NaN where unseen), score [F, N].
+
+    `images` are RGB uint8 [H, W, 3] in order of `times` [F] (s). One hand is followed from frame to frame; several come in
+    no lasting order. A score is 0 where no hand is seen. Raises MissingError where the model file is missing or unreadable.
+    Source: paper, section III-D (MediaPipe Hands).
+    """
     import mediapipe as mp
 
     landmarks = np.full((len(times), hands, LANDMARKS, 2), np.nan)

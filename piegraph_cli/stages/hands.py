@@ -32,7 +32,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     """Find the hand in one sequence."""
     import numpy as np
 
-    from piegraph_cli.perception.hands import detect_several, end_effector, lift_hands
+    from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
     from piegraph_cli.perception.two_hands import separate_hands, travel
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of
     from piegraph_cli.weights import cached_weights
@@ -43,7 +43,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     images = [color.of_camera(c) for c in range(len(cameras))]
     hands = 2 if _second_hand(images, time, model) else 1
     bars = [context.progress(images[c], f"hands {camera.name}", len(time)) for c, camera in enumerate(cameras)]
-    landmarks = np.stack([detect_several(bar, time, model, hands)[0] for bar in bars], axis=1)
+    landmarks = np.stack([detect_hands(bar, time, model, hands)[0] for bar in bars], axis=1)
     if not np.isfinite(landmarks).any():
         raise DataError(
             f"no camera sees a hand in frames 0 to {len(time) - 1}",
@@ -97,12 +97,12 @@ def _second_hand(images: "list[CameraImages]", time: "np.ndarray", model: "Path"
     """Whether two hands are seen in at least two of a few images."""
     import numpy as np
 
-    from piegraph_cli.perception.hands import detect_several
+    from piegraph_cli.perception.hands import detect_hands
     from piegraph_cli.perception.two_hands import look_frames, sees_two
 
     frames = look_frames(len(time))
     found = 0
     for one in images:
-        landmarks, score = detect_several((one[f] for f in frames), time[frames], model, 2)
+        landmarks, score = detect_hands((one[f] for f in frames), time[frames], model, 2)
         found += int(np.sum(sees_two(landmarks, score)))
     return found >= 2

@@ -184,13 +184,13 @@ def test_end_effector_lies_between_the_finger_tips():
 
 def test_a_missing_model_is_named(tmp_path):
     with pytest.raises(MissingError, match=r"nowhere\.task.*\n.*doctor --fetch hand-landmarker"):
-        detect_hands([], np.zeros(0), tmp_path / "nowhere.task")
+        detect_hands([], np.zeros(0), tmp_path / "nowhere.task", 1)
 
 
 def test_a_broken_model_is_named(tmp_path):
     (tmp_path / "broken.task").write_bytes(b"not a model")
     with pytest.raises(MissingError, match=r"broken\.task"):
-        detect_hands([np.zeros((64, 64, 3), np.uint8)], np.zeros(1), tmp_path / "broken.task")
+        detect_hands([np.zeros((64, 64, 3), np.uint8)], np.zeros(1), tmp_path / "broken.task", 1)
 
 
 class FakeLandmarker:
@@ -216,7 +216,8 @@ def landmarker(monkeypatch):
 
 def test_a_lost_hand_is_searched_for_again_in_the_same_frame(landmarker):
     images = [np.zeros((40, 80, 3), np.uint8)] * 3
-    pixels, score = detect_hands(images, np.array([7.0, 7.2, 7.2005]), Path("model.task"))
+    pixels, score = detect_hands(images, np.array([7.0, 7.2, 7.2005]), Path("model.task"), 1)
+    pixels, score = pixels[:, 0], score[:, 0]
     np.testing.assert_allclose(pixels[:2], np.tile([39.5, 9.5], (2, 21, 1)))
     assert np.isnan(pixels[2]).all()
     assert score.tolist() == [0.9, 0.9, 0.0]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.perception import hands
-from piegraph_cli.perception.hands import detect_several, end_effector, lift_hands
+from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
 from piegraph_cli.perception.two_hands import look_frames, sees_two, separate_hands, travel
 from tests.perception.scene import hand_pose, ring_camera
 from tests.perception.test_hands import landmarks_of, skin_depth
@@ -86,6 +86,6 @@ def test_all_hands_of_an_image_are_returned(monkeypatch):
     sure = [[SimpleNamespace(score=score)] for score in (0.9, 0.8)]
     fake = SimpleNamespace(detect_for_video=lambda *_: SimpleNamespace(hand_landmarks=points, handedness=sure))
     monkeypatch.setattr(hands, "_hand_landmarker", lambda path, count: nullcontext(fake))
-    pixels, score = detect_several([np.zeros((40, 80, 3), np.uint8)], np.zeros(1), Path("model.task"), 2)
+    pixels, score = detect_hands([np.zeros((40, 80, 3), np.uint8)], np.zeros(1), Path("model.task"), 2)
     assert pixels[0, :, 0].tolist() == [[19.5, 19.5], [59.5, 19.5]]
     assert score.tolist() == [[0.9, 0.8]]

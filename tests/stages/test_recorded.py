@@ -127,7 +127,7 @@ def stubs(scene):
         patch.setattr(rendering, "truth_arrays", lambda environment, frames: truth_of(scene, frames))
         patch.setattr(rig, "camera_rig", lambda: scene.cameras)
         patch.setattr(hands_of_environments, "load_hand", lambda: "the hand")
-        patch.setattr(hands, "detect_several", detect)
+        patch.setattr(hands, "detect_hands", detect)
         patch.setattr(seeds, "find_object", find)
         patch.setattr(segmentation, "segment_sequence", masks)
         yield noted
@@ -392,7 +392,7 @@ def test_hands_seen_nowhere_are_an_error_and_seldom_a_warning(run, scene, monkey
             pixels[[f for f in range(FRAMES) if f not in frames or (len(calls) == 2 and f == 1)]] = np.nan
             return pixels[:, None], np.ones((FRAMES, 1))
 
-        monkeypatch.setattr(hands, "detect_several", detect)
+        monkeypatch.setattr(hands, "detect_hands", detect)
         return stage.run(inputs, params, context())
 
     few = seeing(0, 1)

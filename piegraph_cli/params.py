@@ -76,6 +76,10 @@ class Params(BaseModel):
         """Files and folders these settings name; their content, not their path, enters the cache key."""
         return {name: value for name, value in self if isinstance(value, Path)}
 
+    def placed(self, base: Path) -> dict[str, str]:
+        """The settings that name files, with paths that are taken from `base` made absolute."""
+        return {name: str((base / file).resolve()) for name, file in self.files().items()}
+
     def artifacts(self) -> dict[str, tuple[Path, str]]:
         """Artifacts of other runs that these settings name: path and what it is; their keys enter the cache key."""
         return {}

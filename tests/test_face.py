@@ -55,6 +55,10 @@ def test_a_model_of_a_file_is_the_model_of_the_run(tiny_run, tmp_path):
     strokes = Strokes.of([[-0.2, 0.0]], [[-0.02, 0.0]], 0)
     np.testing.assert_array_equal(ours.predict(now, strokes), theirs.predict(now, strokes))
     assert load_model(file, "piegraph-ng").label == "piegraph-ng"
+    with pytest.raises(DataError, match="piegraph-ng is what piegraph has learned"):
+        save_model(tiny_run, file, "piegraph-ng")
+    with pytest.raises(DataError, match="holds seed 0, not 1"):
+        load_model(file, seed=1)
     with pytest.raises(DataError, match="holds piegraph, not pgnd"):
         load_model(file, "pgnd")
     assert read_artifact(file).key == read_artifact(tiny_run / "model" / "piegraph.seed0.h5").key
@@ -71,6 +75,8 @@ def test_python_and_the_command_plan_the_same(tiny_run, tmp_path):
     assert plan.strokes is not None
     np.testing.assert_allclose(plan.strokes.ends[0].numpy(), [row["start"], row["end"]], atol=1e-7)
     assert plan.steps[0].plan.cost == pytest.approx(row["predicted_distance"])
+    spelled = load_model(tiny_run).plan(now, goal_pose="0.1,0,0.5")
+    np.testing.assert_array_equal(spelled.strokes.ends, plan.strokes.ends)
 
 
 def test_a_prediction_for_one_state_or_one_for_each_stroke(tiny_run):
@@ -120,6 +126,8 @@ def test_wrong_predictions_are_refused(tiny_run):
     one = Strokes.of(torch.zeros(1, 2), torch.ones(1, 2), 0)
     with pytest.raises(DataError, match="for 1 strokes"):
         model.predict(np.zeros((2, 50, 3)), one)
+    with pytest.raises(DataError, match="for 0 strokes"):
+        model.predict(now, one[:0])
     with pytest.raises(DataError, match="no heading"):
         model.predict(now, Strokes.of(torch.zeros(1, 2), torch.zeros(1, 2), 0))
     with pytest.raises(DataError, match="not finite"):

@@ -260,6 +260,10 @@ class ModelParams(Params):
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
 
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without how often the state is kept and whether events are written: as by default."""
+        return super().content() | {n: type(self).model_fields[n].default for n in ("checkpoint_every", "tensorboard")}
+
 
 class PredictionParams(GuidanceParams):
     """What a prediction by name needs: the springs' reach beside the guidance."""

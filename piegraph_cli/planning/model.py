@@ -52,7 +52,7 @@ class Model:
         """
         now = np.asarray(positions, np.float32)
         now = np.repeat(now[None], len(strokes), 0) if now.ndim == 2 else now
-        if now.ndim != 3 or len(now) != len(strokes):
+        if now.ndim != 3 or len(now) != len(strokes) or len(now) == 0:
             raise DataError(
                 f"positions {list(now.shape)} for {len(strokes)} strokes", "predict", "give [B, N, 3] or [N, 3]"
             )
@@ -79,9 +79,10 @@ class Model:
         seen = choose_particles(thinned(cloud, STATE_POINTS), self.particles).astype(np.float32)
         if (goal is None) == (goal_pose is None):
             raise DataError("one goal is needed", "plan", "give goal or goal_pose")
-        target = (
-            Goal(move_in_plane(seen, goal_pose), True) if goal is None else Goal(_points(goal, "goal"), corresponds)
-        )
+        if params.goal_pose is None:
+            target = Goal(_points(goal, "goal"), corresponds)
+        else:
+            target = Goal(move_in_plane(seen, params.goal_pose), True)
         return plan_once(self.trained, seen, target, params, self.device)
 
 

@@ -78,6 +78,12 @@ class PlanParams(PredictionParams, EnvironmentParams):
         """As for all settings, and the goal's file."""
         return super().files() | ({"goal": self.goal_file()[0]} if self.goal else {})
 
+    def placed(self, base: Path) -> dict[str, str]:
+        """As for all settings; the goal's frame stays behind its file."""
+        places = super().placed(base)
+        frame = self.goal_file()[1] if self.goal else None
+        return places if frame is None else places | {"goal": f"{places['goal']}:{frame}"}
+
 
 class TrialsParams(EnvironmentParams):
     """Settings of `trials`: the grid environments x models x goals x seeds of the paper's planning experiment."""

@@ -28,7 +28,7 @@ SUFFIXES = {"color": (".jpg", ".jpeg", ".png"), "depth": (".png",)}
 class CameraEntry(BaseModel):
     """One camera of cameras.json."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
@@ -105,7 +105,8 @@ def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Cam
     K = _intrinsics(entry.K, "K", where)
     distortion = _distortion(entry.distortion, "distortion", where)
     distortion = np.pad(distortion, (0, coefficients - len(distortion)))
-    T = _transform(entry.T_world_camera or np.eye(4).tolist(), "T_world_camera", where, "run `piegraph calibrate`")
+    pose = np.eye(4).tolist() if entry.T_world_camera is None else entry.T_world_camera
+    T = _transform(pose, "T_world_camera", where, "run `piegraph calibrate`")
     view = _depth_view(entry, where)
     return Camera(name, entry.width, entry.height, K, distortion, T, entry.depth_scale, view)
 
@@ -182,6 +183,8 @@ def read_times(sequence: Path, camera: Camera) -> np.ndarray:
         return np.array([float(line) for line in path.read_text().split()])
     except FileNotFoundError:
         raise DataError("timestamps.txt is missing", str(path.parent), "one time stamp in seconds per line") from None
+    except OSError as error:
+        raise DataError(f"cannot be read: {error}", str(path), "one time stamp in seconds per line") from None
     except (ValueError, UnicodeDecodeError):
         raise DataError("a line is not a number", str(path), "one time stamp in seconds per line") from None
 
@@ -212,9 +215,7 @@ def read_color(path: Path, camera: Camera) -> bytes:
     """The encoded bytes of a colour image, after decoding it once to check it against the camera's size."""
     import cv2
 
-    data = path.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    image = _check_image(image, path, camera.name)
+    data, image = _decoded(path, cv2.IMREAD_COLOR, camera.name)
     if image.shape[:2] != (camera.height, camera.width):
         raise DataError(
             f"image is {image.shape[1]} x {image.shape[0]}, cameras.json says {camera.width} x {camera.height}",
@@ -228,9 +229,7 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
     """A depth image as it was recorded, uint16 [H, W] in units of the camera's depth scale; 0 is no reading."""
     import cv2
 
-    data = path.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    image = _check_image(image, path, camera.name)
+    _, image = _decoded(path, cv2.IMREAD_UNCHANGED, camera.name)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DataError(f"depth must be a one-channel 16-bit PNG, got {image.dtype} {image.shape}", str(path))
     view = camera.depth_view or camera
@@ -251,10 +250,23 @@ def image_size(path: Path, camera: str) -> tuple[int, int]:
     """Width and height of an image, px."""
     import cv2
 
-    data = path.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    height, width = _check_image(image, path, camera).shape[:2]
+    height, width = _decoded(path, cv2.IMREAD_COLOR, camera)[1].shape[:2]
     return width, height
+
+
+def _decoded(path: Path, flag: int, camera: str) -> tuple[bytes, np.ndarray]:
+    """The bytes of an image file, and the image. Raises `DataError` for what is none, or promises too many pixels."""
+    import cv2
+
+    try:
+        data = path.read_bytes()
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flag) if data else None
+    except (OSError, cv2.error) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise DataError(
+            f"camera {camera}: not a readable image: {reason}", str(path), "export the recording again"
+        ) from None
+    return data, _check_image(image, path, camera)
 
 
 def _check_image(image: np.ndarray | None, path: Path, camera: str) -> np.ndarray:

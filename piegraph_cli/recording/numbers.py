@@ -52,7 +52,7 @@ def match_stamps(files: Sequence[Path], stamps: int, where: str) -> tuple[np.nda
         message = f"{where}: no image between {files[int(odd[0])].stem} and {files[int(odd[0]) + 1].stem}"
         more = f", and {len(odd) - 1} more gaps" if len(odd) > 1 else ""
         return lines, [f"{message}{more}: images and time stamps, {stamps} each, are paired in order"]
-    whole = all(number == int(number) for number in numbers)
+    whole = all(number == int(number) for number in numbers) and (steps > 0).all()
     if numbers and whole and 0 < len(files) < stamps and numbers[-1] - numbers[0] + 1 == stamps:
         warning = f"{where}: {stamps - len(files)} time stamps without an image, left out; images go by their numbers"
         return np.array([int(number - numbers[0]) for number in numbers]), [warning]

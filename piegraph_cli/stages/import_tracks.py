@@ -26,23 +26,25 @@ def _files(run: "Run") -> dict[str, Path]:
     if not sources:
         raise UsageError("nothing to import", str(run.folder), "piegraph import FILE --run RUN")
     found: dict[str, Path] = {}
-    for source in sources:
-        kept = [] if source.exists() else _kept(run, source)
-        for file in kept or list_files(source, READERS):
+    gone = [source for source in sources if not source.exists() and _kept(run, source)]
+    for source in (source for source in sources if source not in gone):
+        for file in list_files(source, READERS):
             name = file.stem
             if name in found:
                 raise DataError(f"two files are called {name}", str(file), f"rename one of them: {found[name]}")
             if len(name.encode()) > LONGEST_NAME:
                 raise DataError("the name is too long for a sequence", str(file), f"at most {LONGEST_NAME} letters")
             found[name] = file
+    for source in gone:  # which of several a sequence came from is not known, nor needed
+        found = {file.stem: file for file in _kept(run, source)} | found
     return found
 
 
 def _kept(run: "Run", source: Path) -> list[Path]:
     """Files of a source that is gone, as far as the run has what was made of them."""
-    if source.suffix:
+    if source.suffix.lower() in (".npz", ".csv", *READERS):
         return [source] if run.path("tracks", source.stem).exists() else []
-    return [source / path.stem for path in sorted((run.folder / "tracks").glob("*.h5"))]
+    return [source / f"{path.stem}.npz" for path in sorted((run.folder / "tracks").glob("*.h5"))]
 
 
 def _units(run: "Run") -> Sequence[Unit]:
@@ -117,7 +119,7 @@ def read_h5(path: Path) -> "dict[str, np.ndarray]":
     try:
         with h5py.File(path, "r") as file:
             return {name: _plain(file, name, path) for name in ALL_NAMES if file.get(name, getlink=True) is not None}
-    except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, MemoryError, TypeError) as error:
         raise DataError(f"not a readable HDF5 file: {error}", str(path), "write it again") from None
 
 
@@ -134,6 +136,8 @@ def _plain(file: Any, name: str, path: Path) -> "np.ndarray":
         raise DataError("is a group, not a dataset", where, hint)
     if item.dtype.kind not in "fiubS":
         raise DataError(f"has the type {item.dtype}", where, hint)
+    if item.shape is None:
+        raise DataError("is empty", where, hint)
     if item.is_virtual or item.external:
         raise DataError("takes its data from other files", where, hint)
     if item.size * item.dtype.itemsize > MAX_BYTES:

@@ -29,6 +29,8 @@ def load_model(source: Path | str, label: str | None = None, *, seed: int | None
     own = artifact.params["label"]
     if label is not None and trained_label(label) != own:
         raise DataError(f"holds {own}, not {label}", str(path), "another file, or no label")
+    if seed is not None and seed != artifact.params["seed"]:
+        raise DataError(f"holds seed {artifact.params['seed']}, not {seed}", str(path), "another file, or no seed")
     plan = validated(PlanParams, artifact.params.get("plan", {}), "plan", str(path), "another model file")
     return Model(label or own, read_model(artifact), plan)
 
@@ -39,6 +41,8 @@ def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, se
     Raises `DataError` where it is not trained, or the disk is full.
     """
     artifact, plan = _model_of_run(Path(run), label, seed)
+    if artifact is not None and trained_label(label) != label:
+        raise DataError(f"{label} is what {trained_label(label)} has learned", str(run), f"save {trained_label(label)}")
     if artifact is None:
         raise DataError(f"{label} is not trained: there is nothing to save", str(run), "another label")
     settings = plan.model_dump(mode="json", exclude={*PlanParams.query, "model", "daxbench_python", "daxbench_repo"})

@@ -92,10 +92,12 @@ def _plan_once(model: "Model", params: PlanParams) -> "Episode":
 
     assert params.state is not None
     goal = read_points(*params.goal_file()) if params.goal is not None else None
+    state = read_points(params.state, None)
     try:
-        return model.plan(read_points(params.state, None), goal=goal, goal_pose=params.goal_pose)
+        return model.plan(state, goal=goal, goal_pose=params.goal_pose)
     except DataError as error:
-        raise DataError(error.message, str(params.state), error.hint) from None
+        asked = f"{params.state}, {'--goal ' + params.goal if params.goal else '--goal-pose'}"
+        raise DataError(error.message, asked, error.hint) from None
 
 
 def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":

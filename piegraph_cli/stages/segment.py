@@ -76,7 +76,7 @@ def _seed(params: SegmentParams, color, depth, cameras, hand_px, workspace, tips
     from piegraph_cli.perception.seeds import ObjectSeed, find_object
 
     check_prompts(params, cameras)
-    if params.segmenter == "sam" and set(params.prompts) == {c.name for c in cameras}:
+    if params.segmenter == "sam" and not params.points and set(params.prompts) == {c.name for c in cameras}:
         return ObjectSeed(0, [np.zeros((camera.height, camera.width), bool) for camera in cameras])
     find = prompted_object if params.prompts or params.points else find_object
     return find(color, depth, cameras, hand_px, workspace, params, tips)

@@ -201,6 +201,8 @@ def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:
                 writer.add_scalar("loss/validation", found, step)
         if step % params.checkpoint_every == 0 and step < settings.steps:
             context.checkpoint.save(trainer.state())
+    if writer is not None:
+        writer.close()
 
 
 def _tensorboard(context: Context):
@@ -208,4 +210,4 @@ def _tensorboard(context: Context):
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise MissingError("tensorboard is not installed", hint="pip install tensorboard") from None
-    return SummaryWriter(str(context.run.folder / "tensorboard"))
+    return SummaryWriter(str(context.run.folder / "tensorboard" / str(context.unit)))

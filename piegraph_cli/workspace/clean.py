@@ -114,7 +114,10 @@ def _checkpoints(run: Run) -> Iterator[Waste]:
         if header is None:
             continue
         if entry.name not in places:
-            yield _waste(entry, "checkpoint of nothing in this run")
+            name, _, unit = entry.name.removesuffix(".h5").partition(".")
+            writer = run.recipe.table.get(name)  # which may be at work on it, with settings that are not kept yet
+            lock = run.lock_file(f"{writer.writes}/{unit}") if writer else None
+            yield _waste(entry, "checkpoint of nothing in this run", lock)
             continue
         stage, unit = places[entry.name]
         if run.fresh(stage, unit) or header.key != run.key(stage, unit):

@@ -46,12 +46,11 @@ class Recipe:
         section = {k: v for k, v in self.sections.get(stage.name, {}).items() if k not in replaced}
         for name, value in values.items():
             table, dot, inner = name.partition(".")
-            section[table] = section.get(table, {}) | {inner: value} if dot else value
+            before = section.get(table)
+            section[table] = (before if isinstance(before, dict) else {}) | {inner: value} if dot else value
         checked = _validate(stage, section, where)
         section = checked.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        for name, file in checked.files().items():
-            if name in values:
-                section[name] = str((base / file).resolve()) + str(values[name])[len(str(file)) :]
+        section |= {name: place for name, place in checked.placed(base).items() if name in values}
         for name, several in checked:
             if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
                 section[name] = [str((base / file).resolve()) for file in several]

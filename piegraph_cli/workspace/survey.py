@@ -31,7 +31,7 @@ def _row(run: Run, stage: Stage, unit: Unit) -> dict[str, Any]:
         "bytes": size,
         "state": state,
         "quality": header.quality if header and state == "fresh" else "",
-        "failure": (run.failure(stage, unit) if state == "failed" and unit else None) or "",
+        "failure": (run.failure(stage, unit) if state == "failed" else None) or "",
         "reason": run.why_stale(stage, unit) if state == "stale" else "",
     }
 
@@ -73,7 +73,7 @@ def foresee(run: Run, until: str | None, force: bool) -> list[dict[str, Any]]:
 def _reason(run: Run, foreseen: _Foreseen, stage: Stage, unit: Unit, force: bool) -> str:
     header = run.header(stage, unit)
     if header is None and not run.path(stage.writes, unit).exists():
-        failure = run.failure(stage, unit) if unit else None
+        failure = run.failure(stage, unit)
         return f"failed before: {failure.splitlines()[0]}" if failure else "missing"
     if header is not None and header.key == foreseen.key(stage, unit):
         return "--force"

@@ -1,5 +1,6 @@
 """`piegraph import`: from files of others to a trained model, and nothing half-written where one is wrong."""
 
+import h5py
 import numpy as np
 import pytest
 
@@ -104,6 +105,27 @@ def test_what_was_imported_stays_when_its_files_are_gone(takes, tmp_path, gone):
     stage = opened.producer("tracks")
     assert {unit: opened.state(stage, unit) for unit in opened.units(stage)} == {f"take{k}": "fresh" for k in range(4)}
     piegraph("dataset", "--run", run, "--train", 2)
+
+
+@pytest.mark.parametrize("gone", [("one",), ("one", "two.v2")])
+def test_of_several_folders_some_may_be_gone(tmp_path, gone):
+    """What was made of them stays, wherever it came from, and the others are read as ever."""
+    for k, folder in enumerate(("one", "two.v2")):
+        (tmp_path / folder).mkdir()
+        np.savez(tmp_path / folder / f"take{k}.npz", **rope(k))
+    run = tmp_path / "run"
+    piegraph("import", tmp_path / "one", tmp_path / "two.v2", "--run", run)
+    for folder in gone:
+        (tmp_path / folder).rename(tmp_path / f"elsewhere {folder}")
+    rows = {row["unit"]: row["state"] for row in piegraph_json("status", "--run", run)["artifacts"] if row["unit"]}
+    assert {name: rows[name] for name in ("take0", "take1")} == dict.fromkeys(("take0", "take1"), "fresh")
+
+
+def test_an_h5_of_nothing_is_refused(tmp_path):
+    with h5py.File(tmp_path / "none.h5", "w") as file:
+        file["particles"] = h5py.Empty("f4")
+    done = piegraph("import", tmp_path / "none.h5", "--run", tmp_path / "run", check=3)
+    assert "dataset particles: is empty" in done.stderr
 
 
 def test_a_recipe_names_its_sources_beside_itself(takes, tmp_path):

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -359,3 +361,25 @@ def test_later_stages_say_what_was_left_out_and_why(recording, tmp_path):
     assert "no camera sees a hand" in done.stderr, "seq 1 was tried"
     rows = piegraph_json("status", "--run", tmp_path / "run")["artifacts"]
     assert [r["state"] for r in rows if r["stage"] == "hands"] == ["failed", "failed"]
+
+
+def test_an_image_that_promises_too_many_pixels_is_an_error_with_its_name(tmp_path):
+    recording = make_recording(tmp_path / "rec")
+    image = next(iter(sorted((recording / "seq 0").rglob("depth/*.png"))))
+    data = bytearray(image.read_bytes())
+    data[16:24] = struct.pack(">II", 100_000, 100_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))
+    image.write_bytes(data)
+    error = ingest(recording, tmp_path / "run")[0].error
+    assert isinstance(error, DataError)
+    assert image.name in error.where
+
+
+def test_times_that_are_no_file_are_named(tmp_path):
+    recording = make_recording(tmp_path / "rec")
+    times = next(iter(sorted((recording / "seq 0").rglob("timestamps.txt"))))
+    times.unlink()
+    times.mkdir()
+    error = ingest(recording, tmp_path / "run")[0].error
+    assert isinstance(error, DataError)
+    assert "timestamps.txt" in str(error)

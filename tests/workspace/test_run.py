@@ -136,6 +136,37 @@ def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
     assert recipe.params(STAGES["plan"]).goal == f"{tmp_path}/rec/goal.ply:3"
 
 
+@pytest.mark.parametrize(("given", "placed"), [("./x", "x"), ("a//b", "a/b"), ("../x", "../x"), ("x", "x")])
+def test_paths_are_made_absolute_however_they_are_spelled(tmp_path, given, placed):
+    recipe = Recipe(STAGES).with_values(STAGES["ingest"], {"recording": given}, "test", tmp_path)
+    place = str((tmp_path / placed).resolve())
+    assert recipe.sections["ingest"]["recording"] == place
+    for frame in ("", ":3"):
+        recipe = Recipe(STAGES).with_values(STAGES["plan"], {"goal": f"{given}.npz{frame}"}, "test", tmp_path)
+        assert recipe.sections["plan"]["goal"] == f"{place}.npz{frame}"
+
+
+def test_a_part_of_what_has_no_parts_is_refused(tmp_path):
+    recipe = Recipe(STAGES, {"track": {"mode": "pick"}})
+    with pytest.raises(UsageError, match=r"track\.mode"):
+        recipe.with_values(STAGES["track"], {"mode.x": 1}, "test", tmp_path)
+
+
+def test_how_a_training_is_watched_is_in_no_key(tmp_path):
+    keys = [
+        run_of(tmp_path, simulate={"sequences": 3}, train=given).key(STAGES["train"], "piegraph.seed0")
+        for given in ({}, {"tensorboard": True}, {"checkpoint_every": 7}, {"piegraph": {"steps": 7}})
+    ]
+    assert keys[0] == keys[1] == keys[2] != keys[3]
+
+
+def test_a_stage_of_the_whole_run_that_failed_says_why(tmp_path):
+    run = run_of(tmp_path, simulate={"sequences": 3}, dataset={"train": 1})
+    run.record_failures(STAGES["dataset"], [None], {None: DataError("no stroke was found")})
+    (row,) = (row for row in status(Run(run.folder, run.recipe)) if row["stage"] == "dataset")
+    assert (row["state"], row["failure"]) == ("failed", "no stroke was found")
+
+
 def test_a_new_question_forgets_the_old_one(tmp_path):
     recipe = Recipe(STAGES, {"plan": {"env": "tblock", "goal": "a.ply", "samples": 20}})
     recipe = recipe.with_values(STAGES["plan"], {"state": "now.ply"}, "test", tmp_path)

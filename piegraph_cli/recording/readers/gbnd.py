@@ -50,6 +50,8 @@ def _read_film(folder: Path) -> Film:
     width, height = image_size(files[0][0], folder.name)
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     numbers = frame_numbers([path for path, _ in files])
+    if (np.diff(numbers) <= 0).any():
+        raise DataError("the last number in the names of images does not rise", str(folder), "number them in order")
     camera = Camera(folder.name, width, height, K, np.zeros(5), TURN @ np.linalg.inv(T))
     return Film(camera, numbers / RATE, files, numbers)
 

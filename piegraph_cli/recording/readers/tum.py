@@ -70,6 +70,8 @@ def _lines(path: Path) -> list[str]:
 
 def _numbers(rows: list[list[str]], columns: int, path: Path) -> np.ndarray:
     try:
+        if any(len(row) != columns for row in rows):
+            raise ValueError
         values = np.array([[float(word) for word in row] for row in rows]).reshape(-1, columns)
     except ValueError:
         raise DataError(f"lines must be {columns} numbers", str(path), "see docs/formats.md for the layout") from None

@@ -165,7 +165,11 @@ def test_a_plan_from_a_state_tells_where_it_would_end(run, tmp_path):
     assert float(clouds[1].arrays["start_distance"][0]) != pytest.approx(0.1, rel=1e-2), "a cloud does not correspond"
     with pytest.raises(DataError) as caught:
         asked(goal_pose=(5, 0, 0))
-    assert caught.value.where == str(tmp_path / "now.npz")
+    assert caught.value.where == f"{tmp_path}/now.npz, --goal-pose"
+    with pytest.raises(DataError) as caught:
+        np.savez(tmp_path / "far.npz", now + np.float32([5, 0, 0]))
+        asked(goal=f"{tmp_path}/far.npz")
+    assert caught.value.where == f"{tmp_path}/now.npz, --goal {tmp_path}/far.npz"
 
 
 def test_a_given_goal_is_that_of_every_episode(run, tmp_path):
@@ -323,6 +327,9 @@ class Notes(list):
     def add_scalar(self, *what):
         self.append(what)
 
+    def close(self):
+        self.append(("closed",))
+
 
 def test_losses_are_noted_twenty_times_and_states_as_often_as_asked(run, monkeypatch):
     from piegraph_cli.stages import train
@@ -347,6 +354,7 @@ def test_losses_are_noted_twenty_times_and_states_as_often_as_asked(run, monkeyp
         ("loss/train", pytest.approx(loss), step) for loss, step in zip(found["train_loss"], found["step"], strict=True)
     ]
     assert [e[1] for e in events if e[0] == "loss/validation"] == pytest.approx(found["validation_loss"].tolist())
+    assert events[-1] == ("closed",)
     assert saved.state is not None
     resumed = trained()
     for name in found:

@@ -312,7 +312,7 @@ def write_frame(sequence: Path, camera: Camera, frame: int, color: np.ndarray, d
 
     for kind, suffix, image, flags in (
         ("color", ".jpg", cv2.cvtColor(color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality]),
-        ("depth", ".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 9]),
+        ("depth", ".png", depth, [cv2.IMWRITE_PNG_COMPRESSION, 3]),
     ):
         path = sequence / camera.name / kind / f"{frame:06d}{suffix}"
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -62,8 +62,9 @@ def recording_of(run: "Run") -> Path:
 
 
 def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
-    """Read one sequence of the recording folder."""
+    """Read one sequence of the recording folder, into a world whose table is z = 0."""
     from piegraph_cli.recording.folders import calibration_sequences, list_sequences
+    from piegraph_cli.recording.ground import level
     from piegraph_cli.recording.sequence import read_sequence
     from piegraph_cli.stages.geometry import check_frames
 
@@ -71,7 +72,11 @@ def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Outpu
     arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
     checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]
-    quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s, geometry {geometry}"
+    quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s"
+    if any(params.table):
+        arrays["T_world_camera"] = level(params.table) @ arrays["T_world_camera"]
+        quality += f", z = 0 is the table at z = {params.table[0]:g} m of the recording"
+    quality += f", geometry {geometry}"
     if context.unit == context.run.units(STAGE)[0]:
         board = calibration_sequences(list_sequences(folder.parent, params.layout))
         warnings += [f"{name} is left out: by cameras.json it shows the calibration board" for name in sorted(board)]

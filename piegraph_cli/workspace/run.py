@@ -153,7 +153,8 @@ class Run:
     def _settings_of(self, stage: Stage, unit: Unit) -> "_Settings":
         slot = (stage.name, unit if stage.settings else None)
         if slot not in self._settings:
-            params = stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
+            own = stage.settings if unit or stage.unit == "run" else None
+            params = own(self, unit) if own else self.recipe.params(stage)
             files = params.files()
             folders = frozenset(name for name, path in files.items() if path.is_dir())
             gone = not all(path.exists() for path in files.values())

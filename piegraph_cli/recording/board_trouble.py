@@ -12,6 +12,16 @@ ENOUGH = 4
 """Markers in one image that are no chance."""
 LARGEST = 24
 """Squares across that are tried."""
+ASKED = 3
+"""Every so many of the images is searched for markers of all kinds."""
+FAMILIES = {
+    **{f"DICT_{n}X{n}_": ("50", "100", "250", "1000") for n in (4, 5, 6, 7)},
+    "DICT_APRILTAG_": ("36h11",),
+    **{f"DICT_APRILTAG_{name}": ("",) for name in ("16h5", "25h9", "36h10")},
+    "DICT_ARUCO_": ("ORIGINAL",),
+    "DICT_ARUCO_MIP_": ("36h12",),
+}
+"""OpenCV's dictionaries: those of one family begin alike, and the largest holds the smaller ones."""
 FITS = 0.15
 """Edges of a marker by which markers may lie beside where a board has them."""
 
@@ -64,7 +74,7 @@ def never_seen(seen: np.ndarray, board: Board) -> str:
 def _other_size(found: dict[int, np.ndarray], board: Board) -> str:
     """The board on which the markers lie as they are seen."""
     fits = [
-        (off, -one.columns, one)
+        (round(off, 2), one.rows, one)
         for columns in range(2, LARGEST)
         for one in _boards(board, columns, max(found))
         if (off := _off(found, one)) < FITS
@@ -110,7 +120,7 @@ def _off(found: dict[int, np.ndarray], board: Board) -> float:
         return np.inf
     seen = np.array([found[n].mean(0) for n in known])
     edge = np.median([np.linalg.norm(found[n][0] - found[n][2]) for n in known]) / np.sqrt(2)
-    H, _ = cv2.findHomography(np.array([at[n] for n in known]), seen, cv2.LMEDS)
+    H, _ = cv2.findHomography(np.array([at[n] for n in known]), seen)
     if H is None:
         return np.inf
     placed = cv2.perspectiveTransform(np.array([at[n] for n in known])[None].astype(float), H)[0]
@@ -119,13 +129,12 @@ def _off(found: dict[int, np.ndarray], board: Board) -> float:
 
 def _other_dictionary(images: Sequence[np.ndarray], board: Board) -> str:
     """The smallest dictionary whose markers are in the images, where it is not the board's; empty where there is none."""
-    import cv2
-
-    names = [name for name in dir(cv2.aruco) if name.startswith("DICT_") and name != board.dictionary]
-    best: tuple[int, int, str] | None = None
-    for name in names:
-        codes = replace(board, dictionary=name).codes()
-        count = max(len(find_markers(image, codes)) for image in images[:3])
-        if count >= ENOUGH and (best is None or (-count, len(codes.bytesList)) < best[:2]):
-            best = -count, len(codes.bytesList), name
-    return best[2] if best else ""
+    found: list[tuple[int, str]] = []
+    for family, sizes in FAMILIES.items():
+        codes = replace(board, dictionary=f"{family}{sizes[-1]}").codes()
+        numbers = max((find_markers(image, codes) for image in images[::ASKED]), key=len, default={})
+        if len(numbers) >= ENOUGH:
+            enough = [size for size in sizes if not size.isdigit() or int(size) > max(numbers)]
+            found.append((len(numbers), f"{family}{enough[0]}"))
+    best = max(found)[1] if found else ""
+    return best if best != board.dictionary else ""

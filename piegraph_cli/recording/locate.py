@@ -25,8 +25,8 @@ from piegraph_cli.recording.calibration import (
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.shots import Shots, read_shots
 
-POOR, WRONG = 1.0, 5.0
-"""Mean reprojection error (px) that is said, and that is refused."""
+POOR, WRONG, WRONG_SHARE = 1.0, 2.0, 0.0025
+"""Mean reprojection error (px) that is said, and that is refused; of large images the share of their width."""
 ASKED = 6
 """Images that are asked why the board is not found."""
 
@@ -133,7 +133,7 @@ def _located(shots: Shots, seen: Sightings, found: Solution, board: Board, c: in
     """One camera's pose, errors and warnings. Raises `DataError` where it cannot be right."""
     given, error, used = shots.cameras[c], found.error(c), np.flatnonzero(found.used[c]).tolist()
     camera = replace(given, K=found.K[c], distortion=found.distortion[c], T_world_camera=found.T_world_camera[c])
-    if error > WRONG:
+    if error > max(WRONG, WRONG_SHARE * given.width):
         raise DataError(
             f"camera {given.name}: corners are {error:.1f} px from where they should be",
             str(shots.files[c][used[0]]),

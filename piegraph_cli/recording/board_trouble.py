@@ -28,11 +28,11 @@ FITS = 0.15
 
 def why_not_found(images: Sequence[np.ndarray], board: Board) -> str:
     """What to try, for RGB images of one camera in which too little of a board was found."""
-    found = max((find_markers(image, board.codes()) for image in images), key=len, default={})
+    found = max((_markers(image, board) for image in images), key=len, default={})
     if len(found) >= ENOUGH:
         return _other_size(found, board)
     for image in images:
-        if len(find_markers(np.ascontiguousarray(image[:, ::-1]), board.codes())) >= ENOUGH:
+        if len(_markers(np.ascontiguousarray(image[:, ::-1]), board)) >= ENOUGH:
             return "the images are mirrored: record them as the camera sees, or flip them"
     other = _other_dictionary(images, board)
     if other:
@@ -45,9 +45,15 @@ def why_not_found(images: Sequence[np.ndarray], board: Board) -> str:
     return "no marker is seen: show the board to this camera; check --dictionary, move it closer, light it evenly"
 
 
+def _markers(image: np.ndarray, board: Board) -> dict[int, np.ndarray]:
+    """Markers in an image; tags of a grid with either border."""
+    borders = (1, 2) if board.kind == "grid" else (1,)
+    return max((find_markers(image, replace(board, border=border)) for border in borders), key=len)
+
+
 def more_markers(image: np.ndarray, board: Board) -> str:
     """A word on markers in an RGB image that the board does not have, or none."""
-    beyond = [number for number in find_markers(image, board.codes()) if number >= board.markers]
+    beyond = [number for number in find_markers(image, board) if number >= board.markers]
     if not beyond:
         return ""
     return (
@@ -131,8 +137,8 @@ def _other_dictionary(images: Sequence[np.ndarray], board: Board) -> str:
     """The smallest dictionary whose markers are in the images, where it is not the board's; empty where there is none."""
     found: list[tuple[int, str]] = []
     for family, sizes in FAMILIES.items():
-        codes = replace(board, dictionary=f"{family}{sizes[-1]}").codes()
-        numbers = max((find_markers(image, codes) for image in images[::ASKED]), key=len, default={})
+        largest = replace(board, dictionary=f"{family}{sizes[-1]}")
+        numbers = max((_markers(image, largest) for image in images[::ASKED]), key=len, default={})
         if len(numbers) >= ENOUGH:
             enough = [size for size in sizes if not size.isdigit() or int(size) > max(numbers)]
             found.append((len(numbers), f"{family}{enough[0]}"))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from piegraph_cli.errors import UsageError
 
 BoardKind = Literal["charuco", "grid"]
+WINDOWS = {1: 9.0, 2: 8.0}
+"""How many times a tag is as wide as half the window in which its corners are refined, by the bits of its border."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class Board:
     """Of a grid: tags are counted from the bottom row, as Kalibr prints them, not from the top."""
     turns: int = 0
     """Of a grid: by how many quarters its tags are turned against OpenCV's."""
+    border: int = 1
+    """Of a grid: how many bits wide a tag's black border is; Kalibr prints 2."""
 
     def make(self):
         """OpenCV's board. Raises `UsageError` for an unknown dictionary or impossible sizes."""
@@ -92,7 +97,8 @@ class Board:
     def layouts(self) -> list["Board"]:
         """This board, and the other ones that are printed under the same numbers."""
         if self.kind == "grid":
-            return [replace(self, from_below=below, turns=t) for below in (False, True) for t in range(4)]
+            kinds = product((1, 2), (False, True), range(4))
+            return [replace(self, border=border, from_below=below, turns=turns) for border, below, turns in kinds]
         # the layouts of odd rows are the same
         return [self] if self.rows % 2 else [self, replace(self, legacy=True)]
 
@@ -107,7 +113,7 @@ def find_corners(images: Iterable[np.ndarray], board: Board) -> np.ndarray:
     for image in images:
         pixels = np.full((count, 2), np.nan)
         if charuco is None:
-            for number, corners in find_markers(image, board.codes()).items():
+            for number, corners in find_markers(image, board).items():
                 if number < board.markers:
                     pixels[4 * number : 4 * number + 4] = corners
         else:
@@ -118,19 +124,28 @@ def find_corners(images: Iterable[np.ndarray], board: Board) -> np.ndarray:
     return np.array(found).reshape(-1, count, 2)
 
 
-def find_markers(image: np.ndarray, codes) -> dict[int, np.ndarray]:
-    """The four corners [4, 2] (px) of each marker of a dictionary in an RGB image, by number; of none that is there twice."""
+def find_markers(image: np.ndarray, board: Board) -> dict[int, np.ndarray]:
+    """The four corners [4, 2] (px) of markers like the board's in an RGB image, by number; of none that is there twice."""
     import cv2
 
-    detector = cv2.aruco.ArucoDetector(codes, cv2.aruco.DetectorParameters())
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = board.border
+    detector = cv2.aruco.ArucoDetector(board.codes(), parameters)
     grey, found = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dict[int, np.ndarray]()
-    # tags of Kalibr's print hang together by the black squares between them: a light blur parts most of these
+    # tags with black squares between them hang together at their corners: a light blur parts some of these
     for looked in (grey, cv2.GaussianBlur(grey, (0, 0), 1.0)):
         corners, ids, _ = detector.detectMarkers(looked)
         numbers: list[int] = [] if ids is None else np.ravel(ids).astype(int).tolist()
         found |= {n: c for n, c in zip(numbers, corners, strict=True) if numbers.count(n) == 1 and n not in found}
+    return {number: _refined(grey, np.reshape(c, (4, 2)), board.border) for number, c in found.items()}
+
+
+def _refined(grey: np.ndarray, corners: np.ndarray, border: int) -> np.ndarray:
+    """Corners [4, 2] (px) to parts of a pixel, looking no further than the tag's border is wide."""
+    import cv2
+
+    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+    reach = int(np.clip(round(side / WINDOWS[border]), 2, 8))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 0.01)
-    return {
-        number: cv2.cornerSubPix(grey, np.ascontiguousarray(c.reshape(-1, 1, 2)), (3, 3), (-1, -1), stop)[:, 0]
-        for number, c in found.items()
-    }
+    start = np.ascontiguousarray(corners.reshape(-1, 1, 2), np.float32)
+    return cv2.cornerSubPix(grey, start, (reach, reach), (-1, -1), stop)[:, 0]

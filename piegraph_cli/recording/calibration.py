@@ -1,7 +1,7 @@
 """Where the cameras are: poses of cameras and of a board that lies in one place or several, fitted together to its corners."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ WRONG_SIZE, DOUBTFUL_SIZE = 0.10, 0.04
 """Share by which depth may differ from the board's distance before the size of its squares is refused, and doubted."""
 POSES_FOR_LENS, UNSURE = 3, 0.01
 """Places of the board that intrinsics need, and the deviation of focal lengths, as a share, that is too much."""
+SLIPPED = 2.0, 4.0, 0.2
+"""A corner so many pixels and times the image's median off is left out, if these are no more than this share."""
 AMBIGUOUS = 1.3
 """A board seen from afar fits two poses: they are told apart where one fits so many times better."""
 
@@ -85,6 +87,7 @@ def solve(seen: Sightings, board: Board, lenses: bool = False) -> Solution:
     start = _start(seen, place, points, lenses)
     rows = seen.seen.any(-1) & (start.place >= 0)
     rough = refine(start, seen.pixels, points, rows, lenses, robust=True)
+    seen = _without_slips(seen, rough, points)
     errors = _errors(rough, seen, points)
     used = rows & (errors <= max(OFF, 2 * float(np.median(errors[rows]))))
     for c in np.flatnonzero(~used.any(1)).tolist():
@@ -255,6 +258,17 @@ def _errors(fit: Bundle, seen: Sightings, points: np.ndarray) -> np.ndarray:
         off = np.linalg.norm(project(fit, points, c, fit.place[i]) - seen.pixels[c, i], axis=-1)
         errors[c, i] = np.nanmean(off)
     return errors
+
+
+def _without_slips(seen: Sightings, fit: Bundle, points: np.ndarray) -> Sightings:
+    """Without corners that are much further off than most of their image: found in the wrong place."""
+    pixels = seen.pixels.copy()
+    for c, i in np.argwhere(seen.seen.any(-1) & (fit.place >= 0)):
+        off = np.linalg.norm(project(fit, points, c, fit.place[i]) - pixels[c, i], axis=-1)
+        slipped = off > max(SLIPPED[0], SLIPPED[1] * float(np.nanmedian(off)))
+        if slipped.sum() <= SLIPPED[2] * np.isfinite(off).sum():
+            pixels[c, i][slipped] = np.nan
+    return replace(seen, pixels=pixels)
 
 
 def _check_lenses(fit: Bundle, seen: Sightings, points: np.ndarray, used: np.ndarray) -> None:

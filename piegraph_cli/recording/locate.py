@@ -92,9 +92,10 @@ def find_board(shots: Shots, board: Board, all_cameras: bool = True) -> tuple[Bo
     K, distortion = (np.array([getattr(c, name) for c in shots.cameras]) for name in ("K", "distortion"))
     names = [camera.name for camera in shots.cameras]
     best: tuple[float, Board, np.ndarray] | None = None
-    pixels = np.zeros(0)
+    pixels, border = np.zeros(0), 0
     for one in board.layouts():
-        if best is None or one.kind == "charuco":  # tags of a grid are found without knowing its layout
+        if one.kind == "charuco" or one.border != border:  # tags of a grid are found without knowing more of its layout
+            border = one.border
             pixels = np.array([find_corners(shots.images(c), one) for c in range(len(names))])
         off = _misfit(pixels, one, K, distortion)
         if best is None or off < best[0]:

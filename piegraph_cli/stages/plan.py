@@ -57,7 +57,7 @@ STAGE = Stage(
     settings=_settings,
     inputs=_inputs,
     call=Call(
-        first=("env", "state", "goal", "goal_pose", "frame", "model", "horizon", "samples", "strokes", "episodes"),
+        first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
         remembers=False,  # each question stands for itself: an old goal must not move a robot
         describe="piegraph_cli.stages.plan:describe",
     ),

@@ -287,6 +287,10 @@ def _place(artifact: str, unit: Unit) -> str:
     return f"{artifact}/{unit}.h5" if unit else f"{artifact}.h5"
 
 
+BESIDE = ("calibration_sequence", "T_world_robot")
+"""Fields of a cameras.json that say nothing of its cameras."""
+
+
 def content_hash(path: Path, setting: str) -> str:
     """sha256 of a file, or of a folder's file names and contents together with a cameras.json beside the folder.
 
@@ -303,5 +307,18 @@ def content_hash(path: Path, setting: str) -> str:
         raise DataError("no such file or folder", str(path), f"correct the setting {setting}")
     for file in files:
         digest.update(file.relative_to(path.parent if path.is_dir() else file.parent).as_posix().encode() + b"\0")
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+        digest.update(hashlib.sha256(_content(file)).digest())
     return digest.hexdigest()
+
+
+def _content(file: Path) -> bytes:
+    """The bytes of a file; of a cameras.json without what no sequence depends on: a robot that is found stales no run."""
+    data = file.read_bytes()
+    if file.name != "cameras.json" or not any(f'"{name}"'.encode() in data for name in BESIDE):
+        return data
+    try:
+        entries = json.loads(data)
+        kept = {name: value for name, value in entries.items() if name not in BESIDE}
+    except (ValueError, AttributeError, RecursionError):
+        return data  # reading it says what is wrong
+    return (json.dumps(kept, indent=1) + "\n").encode()

@@ -45,7 +45,7 @@ def printed(board: Board) -> np.ndarray:
     for row in range(board.rows):
         for column in range(board.columns):
             number = (board.rows - 1 - row if board.from_below else row) * board.columns + column
-            drawn = np.rot90(board.codes().generateImageMarker(number, tag, borderBits=1), -board.turns)
+            drawn = np.rot90(board.codes().generateImageMarker(number, tag, borderBits=board.border), -board.turns)
             y, x = gap + row * pitch, gap + column * pitch
             paper[y : y + tag, x : x + tag] = drawn
     if board.from_below:  # as Kalibr prints them

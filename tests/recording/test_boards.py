@@ -109,7 +109,7 @@ def test_lenses_are_found_where_the_board_is_tilted_and_refused_where_it_is_not(
         solve(sightings(held(2)), BOARD, lenses=True)
 
 
-@pytest.mark.parametrize("board", [TAGS, replace(TAGS, from_below=True, turns=2)], ids=["opencv", "kalibr"])
+@pytest.mark.parametrize("board", [TAGS, replace(TAGS, from_below=True, turns=2, border=2)], ids=["opencv", "kalibr"])
 def test_grids_of_tags_are_found_in_the_layout_they_are_printed_in(tmp_path, board):
     images = [[picture(RIG[c], board, T) for T in HELD[:2]] for c in (0, 2)]
     record(tmp_path, images, (0, 2))
@@ -121,7 +121,7 @@ def test_grids_of_tags_are_found_in_the_layout_they_are_printed_in(tmp_path, boa
         millimetres, degrees = apart(camera.T_world_camera, RIG[c].T_world_camera)
         assert millimetres < 3
         assert degrees < 0.3
-    assert calibrate(tmp_path, (), replace(board, from_below=False, turns=0)).board == board
+    assert calibrate(tmp_path, (), replace(board, from_below=False, turns=0, border=1)).board == board
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,13 @@ def test_tilt_and_height_are_taken_out_of_all_cameras_as_one(views, tmp_path):
     recording = write_views(tmp_path / "rec", with_poses(views, lambda k, own: T @ own))
     robot = pose([0.1, 0.2, 1], [0.5, 0.1, 0])
     changed(recording, lambda file: file.update(T_world_robot=(T @ robot).tolist(), calibration_sequence="board"))
-    piegraph("ingest", "--recording", recording, "--run", tmp_path / "run", check=3)
+    to = ("ingest", "--recording", recording, "--run", tmp_path / "run")
+    refused = piegraph(*to, check=3).stderr
+    assert "the table is tilted by 5.4 deg alike in all cameras" in refused
+    assert "`piegraph calibrate RECORDING --table`" in refused
+    plane = re.search(r"ingest.table = ([-0-9.,]+);", refused).group(1)
+    np.testing.assert_allclose([float(x) for x in plane.split(",")], (0.06, 0.08, -0.05), atol=0.004)
+    assert piegraph(*to, "--table", plane).stderr == ""
     told = piegraph_json("calibrate", recording, "--table")
     assert told["tilt_deg"] == pytest.approx(np.degrees(np.arctan(np.hypot(0.08, 0.05))), abs=0.1)
     assert told["height_mm"] == pytest.approx(60, abs=8)
@@ -48,7 +54,7 @@ def test_tilt_and_height_are_taken_out_of_all_cameras_as_one(views, tmp_path):
         assert camera.T_world_camera[2, 3] == pytest.approx(truth.T_world_camera[2, 3], abs=0.002)
     assert apart(read_robot(recording / "cameras.json"), robot)[1] < 0.2
     assert json.loads((recording / "cameras.json").read_text())["calibration_sequence"] == "board"
-    assert piegraph("ingest", "--recording", recording, "--run", tmp_path / "run").stderr == ""
+    assert piegraph(*to, "--table", 0).stderr == ""
     again = piegraph_json("calibrate", recording, "--table")
     assert again["tilt_deg"] < 0.01
     assert abs(again["height_mm"]) < 0.01

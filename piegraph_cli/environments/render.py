@@ -1,5 +1,6 @@
 """Colour, depth and labels of a scene by ray casting (Embree): Lambert shading, lamps with shadows, a wooden table."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from piegraph_cli.environments import import_extra
 from piegraph_cli.recording.camera import Camera
 
-FLOOR, TABLE, OBJECT, HAND = 0, 1, 2, 3
+FLOOR, TABLE, OBJECT, HAND, OTHER = 0, 1, 2, 3, 4
 _LAMPS = ((np.array([0.9, 0.55, 1.5]), 0.62), (np.array([-0.8, -0.1, 1.7]), 0.40))
 _LAMP_RADIUS = 0.05
 _AMBIENT = 0.36
@@ -78,28 +79,40 @@ class Renderer:
         self._quad_rays = [np.stack([_pixel_rays(camera, offset) for offset in _QUAD]) for camera in cameras]
         self._wood = wood_texture()
 
-    def render(self, parts: list[Part]) -> list[View]:
-        """One view per camera of the table with `parts` on it."""
+    def render(self, parts: list[Part], cameras: Sequence[int] | None = None) -> list[View]:
+        """One view per camera (or of those that are named) of the table with `parts` on it."""
         surfaces = [*_room(), *parts]
         scene, meshes = _scene([(s.vertices, s.triangles) for s in surfaces])
-        views = [self._view(scene, surfaces, k) for k in range(len(self.cameras))]
+        views = [self._view(scene, surfaces, k) for k in (range(len(self.cameras)) if cameras is None else cameras)]
         del meshes
         return views
 
-    def _view(self, scene, surfaces: list[Part], k: int) -> View:
+    def depths(self, parts: list[Part]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Depth and slope of each camera's view, as `View` has them."""
+        surfaces = [*_room(), *parts]
+        scene, meshes = _scene([(s.vertices, s.triangles) for s in surfaces])
+        seen = [self._surface(scene, surfaces, k)[:2] for k in range(len(self.cameras))]
+        del meshes
+        return seen
+
+    def _surface(self, scene, surfaces: list[Part], k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Depth, slope and label [H, W] of what a camera sees."""
         camera = self.cameras[k]
         shape = (camera.height, camera.width)
-        origin = camera.T_world_camera[:3, 3].astype(np.float32)
-        hit = _cast(scene, origin, self._rays[k])
+        hit = _cast(scene, camera.T_world_camera[:3, 3].astype(np.float32), self._rays[k])
         label = np.array([-1] + [s.label for s in surfaces])[hit["geomID"] + 1].reshape(shape)
         slope = np.abs(np.einsum("pc,pc->p", _unit(hit["Ng"]), _unit(self._rays[k]))).reshape(shape)
-        depth = np.where(hit["geomID"] < 0, np.inf, hit["tfar"]).reshape(shape)
+        return np.where(hit["geomID"] < 0, np.inf, hit["tfar"]).reshape(shape), slope, label
+
+    def _view(self, scene, surfaces: list[Part], k: int) -> View:
+        origin = self.cameras[k].T_world_camera[:3, 3].astype(np.float32)
+        depth, slope, label = self._surface(scene, surfaces, k)
         samples = [
             self._shade(scene, surfaces, origin, rays, lamp)
             for rays, lamp in zip(self._quad_rays[k], _QUAD, strict=True)
         ]
         color = np.clip(np.mean(samples, 0), 0, 1) ** (1 / 2.2)
-        return View(color.reshape(*shape, 3).astype(np.float32), depth, label, slope)
+        return View(color.reshape(*depth.shape, 3).astype(np.float32), depth, label, slope)
 
     def _shade(
         self, scene, surfaces: list[Part], origin: np.ndarray, rays: np.ndarray, lamp: tuple[float, float]

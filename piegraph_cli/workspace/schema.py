@@ -162,6 +162,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "vertices": Field("frame,vertex,xyz", "m", "float32"),
         "triangles": Field("triangle,3", "vertex", "int64"),
         "stroke": Field("frame", "stroke, -1 none", "int64"),
+        "pose/*": Field("camera,4,4", "m", "float64"),
+        "done/*": Field("frame,camera", "1", "bool"),
         **_HAND_PATH,
     },
 }

@@ -10,7 +10,7 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
 from piegraph_cli.recording.images import encode_depth, encode_mask, join_images
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers import read_films
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.recording.timing import align_frames
@@ -19,7 +19,7 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 def read_sequence(
-    folder: Path, params: IngestParams, progress: Progress = iter
+    folder: Path, params: ReadParams, progress: Progress = iter
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Cameras, times and encoded images of one sequence folder as the datasets of a frames artifact, and warnings.
 

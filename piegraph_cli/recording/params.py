@@ -36,6 +36,9 @@ class IngestParams(Params):
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
         description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
     )
+    tool_point: Annotated[tuple[float, float, float], BeforeValidator(split_commas)] = Field(
+        (0.0, 0.0, 0.0), description="the tip in the frame of an end-effector that was recorded: x,y,z [m]"
+    )
     table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"

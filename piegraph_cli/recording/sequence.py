@@ -7,12 +7,13 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
 from piegraph_cli.recording.images import encode_depth, join_images
 from piegraph_cli.recording.layout import read_color, read_depth
 from piegraph_cli.recording.params import IngestParams
-from piegraph_cli.recording.readers import read_films
+from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.recording.timing import align_frames
 
@@ -26,26 +27,34 @@ def read_sequence(
 
     Raises `DataError` naming file, camera and frame.
     """
-    films, warnings = read_films(folder, layout_of(folder, params.layout))
+    layout = layout_of(folder, params.layout)
+    films, warnings = read_films(folder, layout, params)
+    path = read_path(folder, layout, params)
     time, source, alone = align_frames(
         {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
     )
     if len(time) < 2:
         raise DataError("one frame: nothing can be seen to move", str(folder), "record longer, or remove this sequence")
+    clock = np.mean([film.times[source[:, c]] for c, film in enumerate(films)], axis=0)
+    tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
     images, blind = _read_images(films, source, progress)
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
-    arrays = images | {
-        "time": time,
-        "source_frame": np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1),
-        "camera_name": np.array([c.name for c in cameras]),
-        "image_size": np.array([[c.width, c.height] for c in cameras]),
-        "K": np.array([c.K for c in cameras]),
-        "distortion": np.array([c.distortion for c in cameras]),
-        "depth_scale": np.array([c.depth_scale for c in cameras]),
-        "T_world_camera": np.array([c.T_world_camera for c in cameras]),
-    }
-    warnings += alone
+    arrays = (
+        images
+        | tool
+        | {
+            "time": time,
+            "source_frame": np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1),
+            "camera_name": np.array([c.name for c in cameras]),
+            "image_size": np.array([[c.width, c.height] for c in cameras]),
+            "K": np.array([c.K for c in cameras]),
+            "distortion": np.array([c.distortion for c in cameras]),
+            "depth_scale": np.array([c.depth_scale for c in cameras]),
+            "T_world_camera": np.array([c.T_world_camera for c in cameras]),
+        }
+    )
+    warnings += alone + gaps
     if blind.any():
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")

@@ -19,6 +19,8 @@ FIXED, TURN, OPENING = ("time", "x", "y", "z"), ("qx", "qy", "qz", "qw"), "openi
 COLUMNS = "columns time, x, y, z[, qx, qy, qz, qw][, opening], with commas between"
 FARTHEST = 20.0
 """Metres from the world's origin beyond which positions are not in metres."""
+LATEST = 1e11
+"""Seconds that no clock shows."""
 FASTEST_MOVE = 5.0
 """Metres a second beyond which a path jumps."""
 LONGEST_GAP = 0.5
@@ -50,7 +52,7 @@ def read_end_effector(path: Path) -> EndEffectorPath:
     check_size(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file, strict=True)]
+            rows = list(csv.reader(file, strict=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"not a readable table: {error}", str(path), f"write {COLUMNS}") from None
     while rows and not "".join(rows[-1]).strip():
@@ -94,7 +96,10 @@ def _numbers(row: list[str], header: list[str], where: str) -> list[float]:
 
 
 def checked(path: EndEffectorPath) -> EndEffectorPath:
-    """A path of two or more entries, if it is finite, in seconds and metres, runs forward and does not jump; `DataError` else."""
+    """A path of two or more entries, if it is finite, in seconds and metres, runs forward and does not jump.
+
+    Raises `DataError` naming the entry where it is not.
+    """
 
     def refuse(k: int, message: str, hint: str) -> DataError:
         return DataError(f"{path.item} {path.first + k} {message}", path.where, hint)
@@ -111,12 +116,13 @@ def checked(path: EndEffectorPath) -> EndEffectorPath:
     if len(back):
         raise refuse(back[0] + 1, "is not later than the one before it", "times must rise: sort or repair the file")
     _check_units(path)
-    speed = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / steps
-    fast = np.flatnonzero(speed > FASTEST_MOVE)
+    far = np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
+    fast = np.flatnonzero(far > FASTEST_MOVE * steps)
     if len(fast):
-        k = fast[0]
-        message = f"is {np.linalg.norm(path.positions[k + 1] - path.positions[k]):.2f} m from the one before it, at {speed[k]:.0f} m/s"
-        raise refuse(k + 1, message, "leave samples out in which the tracking jumps; check that times are seconds")
+        message = f"is {far[fast[0]]:.2f} m from the one {steps[fast[0]]:.3f} s before it"
+        raise refuse(
+            fast[0] + 1, message, "leave samples out in which the tracking jumps; check that times are seconds"
+        )
     if path.turns is not None:
         odd = np.flatnonzero(np.abs(np.linalg.norm(path.turns, axis=1) - 1) > 0.02)
         if len(odd):
@@ -125,13 +131,17 @@ def checked(path: EndEffectorPath) -> EndEffectorPath:
 
 
 def _check_units(path: EndEffectorPath) -> None:
-    usual = float(np.median(np.diff(path.times)))
+    usual = min(float(np.median(np.diff(path.times))), 1e300)
     if 1 / usual < SLOWEST:
         _, in_second, unit = next(row for row in UNITS if usual < row[0])
         hint = f"times are seconds on the cameras' clock: divide by {in_second:.0f}"
         raise DataError(f"{1 / usual:.2g} {path.item}s a second: are these {unit}?", path.where, hint)
     if 1 / usual > FASTEST:
         raise DataError(f"{1 / usual:.2g} {path.item}s a second", path.where, "times are seconds on the cameras' clock")
+    late = int(np.abs(path.times).argmax())
+    if abs(path.times[late]) > LATEST:
+        message = f"{path.item} {path.first + late} is at {path.times[late]:.3g} s"
+        raise DataError(message, path.where, "times are seconds on the cameras' clock")
     far = np.abs(path.positions).max(axis=1)
     k = int(far.argmax())
     if far[k] > FARTHEST:

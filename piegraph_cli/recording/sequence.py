@@ -10,8 +10,7 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
-from piegraph_cli.recording.images import encode_depth, join_images
-from piegraph_cli.recording.layout import read_color, read_depth
+from piegraph_cli.recording.images import encode_depth, encode_mask, join_images
 from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
@@ -63,22 +62,22 @@ def read_sequence(
 
 def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty."""
-    color, depth, blind = [], [], np.zeros(source.shape, bool)
+    color, depth, masks, blind = [], [], [], np.zeros(source.shape, bool)
     for frame in progress(range(len(source))):
         for c, film in enumerate(films):
-            color_file, depth_file = film.files[source[frame, c]]
-            color.append(read_color(color_file, film.camera))
-            image = read_depth(depth_file, film.camera)
-            if film.camera.depth_view is None:
-                depth.append(depth_file.read_bytes())
-            else:
-                image = register_depth(image, film.camera)
-                depth.append(encode_depth(image))
+            k = int(source[frame, c])
+            color.append(film.images.color(k))
+            image, encoded = film.images.depth(k)
+            if film.camera.depth_view is not None:
+                image, encoded = register_depth(image, film.camera), None
+            depth.append(encoded or encode_depth(image))
             blind[frame, c] = not image.any()
-    data, offsets = join_images(color)
-    depth_data, depth_offsets = join_images(depth)
-    names = ("color", "color_offsets", "depth", "depth_offsets")
-    return dict(zip(names, (data, offsets, depth_data, depth_offsets), strict=True)), blind
+            mask = film.images.mask(k)
+            masks.append(b"" if mask is None else encode_mask(mask))
+    arrays: dict[str, np.ndarray] = {}
+    for name, images in (("color", color), ("depth", depth), ("mask", masks)):
+        arrays[name], arrays[f"{name}_offsets"] = join_images(images)
+    return arrays, blind
 
 
 def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None:

@@ -58,6 +58,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "color_offsets": Field("image_edge", "byte", "int64", ends="color"),
         "depth": Field("depth_byte", "encoded image", "uint8"),
         "depth_offsets": Field("image_edge", "byte", "int64", ends="depth"),
+        "mask": Field("mask_byte", "encoded image", "uint8"),
+        "mask_offsets": Field("image_edge", "byte", "int64", ends="mask"),
         "time": _TIME,
         "source_frame": Field("frame,camera", "1", "int64"),
         "camera_name": Field("camera", "text", TEXT),

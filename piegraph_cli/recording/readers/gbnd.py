@@ -9,7 +9,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.layout import check_transform, image_size
 from piegraph_cli.recording.numbers import by_number, frame_numbers
@@ -54,7 +54,7 @@ def _read_film(folder: Path) -> Film:
     if (np.diff(numbers) <= 0).any():
         raise DataError("the last number in the names of images does not rise", str(folder), "number them in order")
     camera = Camera(folder.name, width, height, K, np.zeros(5), TURN @ np.linalg.inv(T))
-    return Film(camera, numbers / RATE, files, numbers)
+    return Film(camera, numbers / RATE, ImageFiles(camera, files), numbers)
 
 
 def _load(path: Path, shape: tuple[int, ...]) -> np.ndarray:

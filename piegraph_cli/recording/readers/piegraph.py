@@ -4,7 +4,7 @@ from pathlib import Path
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import frame_files, read_cameras, read_times
 from piegraph_cli.recording.numbers import frame_numbers, match_stamps
 from piegraph_cli.recording.params import IngestParams
@@ -26,4 +26,4 @@ def read_film(folder: Path, camera: Camera) -> tuple[Film, list[str]]:
     color = [path for path, _ in files]
     lines, gaps = match_stamps(color, len(stamps), where)
     gaps += check_times(stamps, str(folder / camera.name / "timestamps.txt"))
-    return Film(camera, stamps[lines], files, frame_numbers(color)), gaps
+    return Film(camera, stamps[lines], ImageFiles(camera, files), frame_numbers(color)), gaps

@@ -37,6 +37,9 @@ class ReadParams(Params):
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
         description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
     )
+    tool_point: Annotated[tuple[float, float, float], BeforeValidator(split_commas)] = Field(
+        (0.0, 0.0, 0.0), description="the tip in the frame of an end-effector that was recorded: x,y,z [m]"
+    )
     table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"
@@ -51,8 +54,9 @@ class SequenceParams(ReadParams):
     """Its folder in the recording."""
 
     def content(self) -> dict[str, Any]:
-        """As for all settings, without the folder's name: what it holds counts."""
-        return self.model_dump(mode="json", exclude={"sequence"})
+        """As for all settings, without the folder's name: what it holds counts. Keys stay where a new setting is not used."""
+        unused = {name for name in ("tool_point",) if not any(getattr(self, name))}
+        return self.model_dump(mode="json", exclude={"sequence", *unused}) | {"exclude": []}
 
     def files(self) -> dict[str, Path]:
         """The sequence's folder, which stands for its recording."""

@@ -114,7 +114,7 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=3,
+    version=2,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
     settings=_settings,

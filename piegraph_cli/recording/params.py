@@ -14,6 +14,9 @@ LAYOUT_HELP: dict[str, str] = {
     "piegraph": "SEQUENCE/CAMERA/color, depth and timestamps.txt, with cameras.json (docs/formats.md)",
     "tum": "TUM RGB-D: SEQUENCE/rgb.txt, depth.txt and groundtruth.txt, one camera at rest",
     "gbnd": "GBND: SEQUENCE/camera_I with images, camera_params.npy and camera_extrinsics.npy",
+    "phystwin": "PhysTwin: CASE/color, depth/CAM/STEP.npy, metadata.json and calibrate.pkl; mask where there is one",
+    "pgnd": "PGND, raw: SEQUENCE/camera_I/rgb, depth, timestamps.txt and calibration/; robot where there is one",
+    "stills": "one moment: SCENE/NAME_color.png, NAME_depth.png and cameras.json; for a look, since nothing moves",
 }
 """Layouts of recordings that can be read; each has a module in `readers/`."""
 
@@ -26,7 +29,7 @@ def _several(value: object) -> object:
 class ReadParams(Params):
     """What reading one sequence depends on, beside where it is."""
 
-    layout: Literal["auto", "piegraph", "tum", "gbnd"] = Field(
+    layout: Literal["auto", "piegraph", "tum", "gbnd", "phystwin", "pgnd", "stills"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
     )
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
@@ -59,8 +62,10 @@ class SequenceParams(ReadParams):
         return self.model_dump(mode="json", exclude={"sequence", *unused}) | {"exclude": []}
 
     def files(self) -> dict[str, Path]:
-        """The sequence's folder, which stands for its recording."""
-        return {"recording": self.recording / self.sequence}
+        """The sequence's folder, which stands for its recording, and the calibration beside it that PGND has."""
+        beside = self.recording / "calibration"
+        found = {"recording": self.recording / self.sequence}
+        return found | ({"calibration": beside} if (beside / "intrinsics.npy").is_file() else {})
 
 
 class IngestParams(ReadParams):

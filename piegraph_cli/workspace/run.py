@@ -306,5 +306,10 @@ def content_hash(path: Path, setting: str) -> str:
         raise DataError("no such file or folder", str(path), f"correct the setting {setting}")
     for file in files:
         digest.update(file.relative_to(path.parent if path.is_dir() else file.parent).as_posix().encode() + b"\0")
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+        try:
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
+        except OSError as error:
+            raise DataError(
+                f"cannot be read: {error.strerror or error}", str(file), "give yourself the right"
+            ) from None
     return digest.hexdigest()

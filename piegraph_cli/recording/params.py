@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, field_serializer
 
 from piegraph_cli.params import Box, Mode, Params, split_commas
 
@@ -18,19 +18,20 @@ LAYOUT_HELP: dict[str, str] = {
 """Layouts of recordings that can be read; each has a module in `readers/`."""
 
 
-class IngestParams(Params):
-    """Settings of `ingest`: what is recorded, and where."""
+def _several(value: object) -> object:
+    """One folder means a list of one."""
+    return (value,) if isinstance(value, str | Path) else value
 
-    recording: Path | None = Field(None, description="recording folder (docs/formats.md)")
+
+class ReadParams(Params):
+    """What reading one sequence depends on, beside where it is."""
+
     layout: Literal["auto", "piegraph", "tum", "gbnd"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
     )
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
     max_skew: float = Field(
         0.05, gt=0, description="largest difference in time between the cameras' images of a frame [s]"
-    )
-    exclude: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
-        (), description="sequences to leave out, by name, beside the one that shows the calibration board"
     )
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
@@ -43,6 +44,38 @@ class IngestParams(Params):
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"
     )
+
+
+class SequenceParams(ReadParams):
+    """What one sequence depends on."""
+
+    recording: Path
+    sequence: str
+    """Its folder in the recording."""
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without the folder's name: what it holds counts. Keys stay where a new setting is not used."""
+        unused = {name for name in ("tool_point",) if not any(getattr(self, name))}
+        return self.model_dump(mode="json", exclude={"sequence", *unused}) | {"exclude": []}
+
+    def files(self) -> dict[str, Path]:
+        """The sequence's folder, which stands for its recording."""
+        return {"recording": self.recording / self.sequence}
+
+
+class IngestParams(ReadParams):
+    """Settings of `ingest`: what is recorded, and where."""
+
+    recording: Annotated[tuple[Path, ...], BeforeValidator(_several)] = Field(
+        (), description="recording folder (docs/formats.md); several of them: give it again for each"
+    )
+    exclude: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
+        (), description="sequences to leave out, by name, beside the one that shows the calibration board"
+    )
+
+    @field_serializer("recording")
+    def _one_or_several(self, value: tuple[Path, ...]) -> str | list[str]:
+        return str(value[0]) if len(value) == 1 else [str(path) for path in value]
 
 
 class MotionParams(Params):

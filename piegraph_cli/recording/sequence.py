@@ -11,7 +11,7 @@ from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
 from piegraph_cli.recording.images import encode_depth, encode_mask, join_images
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.recording.timing import align_frames
@@ -20,7 +20,7 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 def read_sequence(
-    folder: Path, params: IngestParams, progress: Progress = iter
+    folder: Path, params: ReadParams, progress: Progress = iter
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Cameras, times and encoded images of one sequence folder as the datasets of a frames artifact, and warnings.
 
@@ -39,20 +39,9 @@ def read_sequence(
     images, blind = _read_images(films, source, progress)
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
-    arrays = (
-        images
-        | tool
-        | {
-            "time": time,
-            "source_frame": np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1),
-            "camera_name": np.array([c.name for c in cameras]),
-            "image_size": np.array([[c.width, c.height] for c in cameras]),
-            "K": np.array([c.K for c in cameras]),
-            "distortion": np.array([c.distortion for c in cameras]),
-            "depth_scale": np.array([c.depth_scale for c in cameras]),
-            "T_world_camera": np.array([c.T_world_camera for c in cameras]),
-        }
-    )
+    arrays = images | tool | _camera_arrays(cameras)
+    arrays["time"] = time
+    arrays["source_frame"] = np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1)
     warnings += alone + gaps
     if blind.any():
         frame, c = np.argwhere(blind)[0]
@@ -60,8 +49,22 @@ def read_sequence(
     return arrays, warnings
 
 
+def _camera_arrays(cameras: list[Camera]) -> dict[str, np.ndarray]:
+    return {
+        "camera_name": np.array([c.name for c in cameras]),
+        "image_size": np.array([[c.width, c.height] for c in cameras]),
+        "K": np.array([c.K for c in cameras]),
+        "distortion": np.array([c.distortion for c in cameras]),
+        "depth_scale": np.array([c.depth_scale for c in cameras]),
+        "T_world_camera": np.array([c.T_world_camera for c in cameras]),
+    }
+
+
 def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty."""
+    """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty.
+
+    Masks are among them where the recording has any; those it lacks have no bytes.
+    """
     color, depth, masks, blind = [], [], [], np.zeros(source.shape, bool)
     for frame in progress(range(len(source))):
         for c, film in enumerate(films):
@@ -75,7 +78,7 @@ def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> t
             mask = film.images.mask(k)
             masks.append(b"" if mask is None else encode_mask(mask))
     arrays: dict[str, np.ndarray] = {}
-    for name, images in (("color", color), ("depth", depth), ("mask", masks)):
+    for name, images in [("color", color), ("depth", depth), *([("mask", masks)] if any(masks) else [])]:
         arrays[name], arrays[f"{name}_offsets"] = join_images(images)
     return arrays, blind
 

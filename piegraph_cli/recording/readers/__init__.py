@@ -10,10 +10,10 @@ from types import ModuleType
 
 from piegraph_cli.recording.end_effector import NAME, EndEffectorPath, read_end_effector
 from piegraph_cli.recording.film import Film
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 
 
-def read_films(folder: Path, layout: str, params: IngestParams = IngestParams()) -> tuple[list[Film], list[str]]:
+def read_films(folder: Path, layout: str, params: ReadParams = ReadParams()) -> tuple[list[Film], list[str]]:
     """The films of a sequence folder, one a camera, by the reader of that name, and warnings.
 
     Raises `DataError` naming file and camera for what is missing or wrong.
@@ -21,7 +21,7 @@ def read_films(folder: Path, layout: str, params: IngestParams = IngestParams())
     return _reader(layout).read(folder, params)
 
 
-def read_path(folder: Path, layout: str, params: IngestParams) -> EndEffectorPath | None:
+def read_path(folder: Path, layout: str, params: ReadParams) -> EndEffectorPath | None:
     """The path of the end-effector of a sequence: from its `end_effector.csv`, else as its layout holds it; None without.
 
     Raises `DataError` naming file and line for what is wrong.

@@ -13,7 +13,7 @@ from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.layout import check_transform, image_size
 from piegraph_cli.recording.numbers import by_number, frame_numbers
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 
 RATE = 30.0
 """Frames a second, which the recordings do not tell."""
@@ -22,7 +22,7 @@ LARGEST = 1 << 16
 """Bytes of a file of intrinsics or of a pose."""
 
 
-def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
+def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     """The films of a sequence folder, one a camera, and what was taken for granted."""
     cameras = sorted(path for path in entries_of(folder) if (path / "camera_params.npy").is_file())
     films = [_read_film(path) for path in cameras]

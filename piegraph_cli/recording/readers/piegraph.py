@@ -7,11 +7,11 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import frame_files, read_cameras, read_times
 from piegraph_cli.recording.numbers import frame_numbers, match_stamps
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.timing import check_times
 
 
-def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
+def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     """The films of a sequence folder, one a camera, and warnings."""
     read = [read_film(folder, camera) for camera in read_cameras(folder)]
     return [film for film, _ in read], [gap for _, gaps in read for gap in gaps]

@@ -13,7 +13,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import check_transform, image_size
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.timing import check_times, nearest
 
 DEPTH_SCALE = 1 / 5000
@@ -28,7 +28,7 @@ PUBLISHED = {
 }
 
 
-def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
+def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     """The film of a sequence folder, and warnings."""
     (times, color), (depth_times, depth) = _read_list(folder / "rgb.txt"), _read_list(folder / "depth.txt")
     gaps = check_times(times, str(folder / "rgb.txt"))

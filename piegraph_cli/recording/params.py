@@ -14,6 +14,7 @@ LAYOUT_HELP: dict[str, str] = {
     "piegraph": "SEQUENCE/CAMERA/color, depth and timestamps.txt, with cameras.json (docs/formats.md)",
     "tum": "TUM RGB-D: SEQUENCE/rgb.txt, depth.txt and groundtruth.txt, one camera at rest",
     "gbnd": "GBND: SEQUENCE/camera_I with images, camera_params.npy and camera_extrinsics.npy",
+    "ros": "ROS bags: SEQUENCE.bag, .db3 or .mcap, or a folder SEQUENCE with a bag per camera",
 }
 """Layouts of recordings that can be read; each has a module in `readers/`."""
 
@@ -26,7 +27,9 @@ def _several(value: object) -> object:
 class ReadParams(Params):
     """What reading one sequence depends on, beside where it is."""
 
-    layout: Literal["auto", "piegraph", "tum", "gbnd"] = Field(
+    later = ("tool_point", "tf_world", "tf_end_effector")
+
+    layout: Literal["auto", "piegraph", "tum", "gbnd", "ros"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
     )
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
@@ -39,6 +42,12 @@ class ReadParams(Params):
     )
     tool_point: Annotated[tuple[float, float, float], BeforeValidator(split_commas)] = Field(
         (0.0, 0.0, 0.0), description="the tip in the frame of an end-effector that was recorded: x,y,z [m]"
+    )
+    tf_world: str | None = Field(
+        None, description="frame of a bag's tf that is the world (default: world, map, base_link or base)"
+    )
+    tf_end_effector: str | None = Field(
+        None, description="frame of a bag's tf that is the end-effector (default: none)"
     )
     table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
@@ -54,9 +63,8 @@ class SequenceParams(ReadParams):
     """Its folder in the recording."""
 
     def content(self) -> dict[str, Any]:
-        """As for all settings, without the folder's name: what it holds counts. Keys stay where a new setting is not used."""
-        unused = {name for name in ("tool_point",) if not any(getattr(self, name))}
-        return self.model_dump(mode="json", exclude={"sequence", *unused}) | {"exclude": []}
+        """As for all settings, without the folder's name: what it holds counts."""
+        return {name: value for name, value in super().content().items() if name != "sequence"} | {"exclude": []}
 
     def files(self) -> dict[str, Path]:
         """The sequence's folder, which stands for its recording."""

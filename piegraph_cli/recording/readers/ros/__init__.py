@@ -19,7 +19,6 @@ from piegraph_cli.recording.readers.ros.cameras import camera_of, world_of
 from piegraph_cli.recording.readers.ros.pictures import depth_units, encoded_color
 from piegraph_cli.recording.readers.ros.survey import Survey, Topic, survey
 from piegraph_cli.recording.readers.ros.topics import Pair, pairs_of
-from piegraph_cli.recording.readers.ros.transforms import Transforms
 from piegraph_cli.recording.timing import check_times, matched
 
 SKEW = 0.02
@@ -77,7 +76,7 @@ def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
         notes += alone
         for pair in _named(pairs, found, surveys):
             if given is None or pair.name in given:
-                camera = camera_of(pair, found, transforms, given and given[pair.name], params)
+                camera = camera_of(pair, found, transforms, given[pair.name] if given else None, params)
                 film, told = _film(camera, pair)
                 films.append(film)
                 notes += told
@@ -85,7 +84,9 @@ def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
                 notes.append(f"camera {pair.name} left out: cameras.json does not name it")
     missing = sorted(set(given or {}) - {film.camera.name for film in films})
     if missing or not films:
-        known = ", ".join(sorted({p.name for s in surveys for p in _named(pairs_of(s.images.values(), "")[0], s, surveys)}))
+        known = ", ".join(
+            sorted({p.name for s in surveys for p in _named(pairs_of(s.images.values(), "")[0], s, surveys)})
+        )
         hint = f"cameras of the bag are {known}: call them so in cameras.json, or take those out that it lacks"
         raise DataError(f"no camera {', '.join(missing)} in the bag", str(cameras_file(folder)), hint)
     return sorted((_same_lens(film, films) for film in films), key=lambda film: film.camera.name), notes
@@ -130,7 +131,7 @@ def _film(camera: Camera, pair: Pair) -> tuple[Film, list[str]]:
     notes = late + later
     times, others = pair.color.times[color], pair.depth.times[depth]
     for topic, stamps in ((pair.color, times), (pair.depth, others)):
-        notes += check_times(stamps, f"{topic.bag}, topic {topic.name}", "message")
+        notes += check_times(stamps, f"{topic.bag}, topic {topic.name}", "message", 0)
     kept, partner = matched(times, others, SKEW)
     if len(kept) < min(len(times), len(others)) / 2:
         message = (
@@ -140,7 +141,9 @@ def _film(camera: Camera, pair: Pair) -> tuple[Film, list[str]]:
         raise DataError(message, f"{pair.color.bag}, camera {camera.name}", "record both with one clock, at one rate")
     if len(kept) < (1 - FEW) * min(len(times), len(others)):
         count = min(len(times), len(others)) - len(kept)
-        notes.append(f"camera {camera.name}: {count} images of colour or depth without a partner within {SKEW:g} s left out")
+        notes.append(
+            f"camera {camera.name}: {count} images of colour or depth without a partner within {SKEW:g} s left out"
+        )
     numbers = np.column_stack([color[kept], depth[partner]])
     images = BagImages(
         camera, Stream(pair.color.bag, pair.color.name), Stream(pair.depth.bag, pair.depth.name), numbers

@@ -34,9 +34,7 @@ def world_of(transforms: Transforms, params: IngestParams) -> str | None:
     return name
 
 
-def camera_of(
-    pair: Pair, survey: Survey, transforms: Transforms, given: Camera | None, params: IngestParams
-) -> Camera:
+def camera_of(pair: Pair, survey: Survey, transforms: Transforms, given: Camera | None, params: IngestParams) -> Camera:
     """The camera of two topics, as `given` where cameras.json has it, else by the bag. Raises `DataError` for what lacks."""
     scale = survey.units.get(stream_prefix(pair.depth.name).rpartition("/")[0], depth_scale(pair.depth.encoding))
     if given is not None and (given.depth_view or pair.registered):
@@ -96,7 +94,13 @@ def _terms(points: np.ndarray) -> np.ndarray:
     """What k1, k2, p1, p2, k3 are multiplied with to move points [N, 2]: [N, 2, 5]."""
     x, y = points.T
     r2 = x**2 + y**2
-    columns = [points.T * r2, points.T * r2**2, (2 * x * y, r2 + 2 * y**2), (r2 + 2 * x**2, 2 * x * y), points.T * r2**3]
+    columns = [
+        points.T * r2,
+        points.T * r2**2,
+        (2 * x * y, r2 + 2 * y**2),
+        (r2 + 2 * x**2, 2 * x * y),
+        points.T * r2**3,
+    ]
     return np.stack([np.array(column).T for column in columns], axis=-1)
 
 
@@ -124,6 +128,7 @@ def _depth_view(pair: Pair, survey: Survey, transforms: Transforms) -> DepthView
     """The camera that saw depth which is not registered to colour."""
     width, height, K, distortion = intrinsics(pair.depth, survey)
     color, depth = stream_prefix(pair.color.name), stream_prefix(pair.depth.name)
+    apart: np.ndarray | None
     if color in survey.places and depth in survey.places:
         apart = survey.places[color] @ np.linalg.inv(survey.places[depth])
     else:

@@ -123,4 +123,6 @@ def _pixels(message: Any, kind: np.dtype, channels: int, where: str) -> np.ndarr
 
 
 def _unknown(encoding: str, where: str, known: tuple[str, ...]) -> DataError:
-    return DataError(f"encoding {encoding!r} cannot be read", where, f"republish the topic as one of {', '.join(known)}")
+    return DataError(
+        f"encoding {encoding!r} cannot be read", where, f"republish the topic as one of {', '.join(known)}"
+    )

@@ -9,7 +9,21 @@ from piegraph_cli.recording.readers.ros.pictures import is_depth
 from piegraph_cli.recording.readers.ros.survey import Topic
 
 TRANSPORTS = ("compressed", "compressedDepth")
-WORDS = {"color", "colour", "rgb", "depth", "aligned", "to", "registered", "image", "raw", "rect", "rectified", "sw", "hw"}
+WORDS = {
+    "color",
+    "colour",
+    "rgb",
+    "depth",
+    "aligned",
+    "to",
+    "registered",
+    "image",
+    "raw",
+    "rect",
+    "rectified",
+    "sw",
+    "hw",
+}
 """What names of image topics are made of, beside the camera's."""
 LOOKS = ("color", "colour", "rgb", "depth", "image", "aligned", "registered")
 IGNORED = re.compile(r"infra|(^|[/_])ir([/_]|$)|confidence|theora|ffmpeg|disparity|normals|heatmap|mask", re.IGNORECASE)

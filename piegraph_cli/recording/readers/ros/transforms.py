@@ -86,7 +86,9 @@ def pose_of(transform: object, where: str) -> np.ndarray:
     q, t = transform.rotation, transform.translation  # type: ignore[attr-defined]
     quaternion = np.array([q.x, q.y, q.z, q.w], float)
     if not abs(float(np.linalg.norm(quaternion)) - 1) < 0.01:
-        raise DataError(f"a transform has a quaternion {quaternion.round(3).tolist()} not of length 1", where, "repair it")
+        raise DataError(
+            f"a transform has a quaternion {quaternion.round(3).tolist()} not of length 1", where, "repair it"
+        )
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     pose[:3, 3] = t.x, t.y, t.z

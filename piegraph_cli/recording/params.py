@@ -17,6 +17,7 @@ LAYOUT_HELP: dict[str, str] = {
     "phystwin": "PhysTwin: CASE/color, depth/CAM/STEP.npy, metadata.json and calibrate.pkl; mask where there is one",
     "pgnd": "PGND, raw: SEQUENCE/camera_I/rgb, depth, timestamps.txt and calibration/; robot where there is one",
     "stills": "one moment: SCENE/NAME_color.png, NAME_depth.png and cameras.json; for a look, since nothing moves",
+    "ros": "ROS bags: SEQUENCE.bag, .db3 or .mcap, or a folder SEQUENCE with a bag per camera",
 }
 """Layouts of recordings that can be read; each has a module in `readers/`."""
 
@@ -29,7 +30,9 @@ def _several(value: object) -> object:
 class ReadParams(Params):
     """What reading one sequence depends on, beside where it is."""
 
-    layout: Literal["auto", "piegraph", "tum", "gbnd", "phystwin", "pgnd", "stills"] = Field(
+    later = ("tool_point", "tf_world", "tf_end_effector")
+
+    layout: Literal["auto", "piegraph", "tum", "gbnd", "phystwin", "pgnd", "stills", "ros"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
     )
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
@@ -42,6 +45,12 @@ class ReadParams(Params):
     )
     tool_point: Annotated[tuple[float, float, float], BeforeValidator(split_commas)] = Field(
         (0.0, 0.0, 0.0), description="the tip in the frame of an end-effector that was recorded: x,y,z [m]"
+    )
+    tf_world: str | None = Field(
+        None, description="frame of a bag's tf that is the world (default: world, map, base_link or base)"
+    )
+    tf_end_effector: str | None = Field(
+        None, description="frame of a bag's tf that is the end-effector (default: none)"
     )
     table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
@@ -57,9 +66,8 @@ class SequenceParams(ReadParams):
     """Its folder in the recording."""
 
     def content(self) -> dict[str, Any]:
-        """As for all settings, without the folder's name: what it holds counts. Keys stay where a new setting is not used."""
-        unused = {name for name in ("tool_point",) if not any(getattr(self, name))}
-        return self.model_dump(mode="json", exclude={"sequence", *unused}) | {"exclude": []}
+        """As for all settings, without the folder's name: what it holds counts."""
+        return {name: value for name, value in super().content().items() if name != "sequence"} | {"exclude": []}
 
     def files(self) -> dict[str, Path]:
         """The sequence's folder, which stands for its recording, and the calibration beside it that PGND has."""

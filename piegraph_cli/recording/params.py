@@ -94,9 +94,14 @@ class IngestParams(ReadParams):
 class MotionParams(Params):
     """What one imported file depends on, beside its content."""
 
+    later = ("particles",)
+
     mode: Mode = Field("push", description="how the hand moves the object, where the file does not say")
     radius: float = Field(
         0.03, gt=0, description="hand and particles closer than this touch, where the file has no contact [m]"
+    )
+    particles: int | None = Field(
+        None, ge=4, description="keep so many of the particles, spread by farthest points (default: all)"
     )
 
 
@@ -107,7 +112,7 @@ class MotionFileParams(MotionParams):
 
     def content(self) -> dict[str, Any]:
         """As for all settings, without where the file is: what it holds counts."""
-        return self.model_dump(mode="json", exclude={"file"})
+        return {name: value for name, value in super().content().items() if name != "file"}
 
 
 class ImportParams(MotionParams):

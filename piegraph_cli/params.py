@@ -68,9 +68,13 @@ class Params(BaseModel):
     query: ClassVar[tuple[str, ...]] = ()
     """Settings that belong together: giving one forgets the others."""
 
+    later: ClassVar[tuple[str, ...]] = ()
+    """Settings that came later: at their defaults they are in no key, so that what was made before stays fresh."""
+
     def content(self) -> dict[str, Any]:
         """What results depend on, as plain values: these settings without what only says how results are come by."""
-        return self.model_dump(mode="json")
+        unused = {name for name in self.later if getattr(self, name) == type(self).model_fields[name].default}
+        return self.model_dump(mode="json", exclude=unused)
 
     def files(self) -> dict[str, Path]:
         """Files and folders these settings name; their content, not their path, enters the cache key."""

@@ -81,6 +81,12 @@ class ImageStack:
 
         return cv2.cvtColor(self._decode(frame, camera, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
+    def grey(self, frame: int, camera: int) -> np.ndarray:
+        """Grey uint8, a quarter as wide and high as the colour image."""
+        import cv2
+
+        return self._decode(frame, camera, cv2.IMREAD_REDUCED_GRAYSCALE_4)
+
     def depth(self, frame: int, camera: int) -> np.ndarray:
         """Depth uint16 [H, W] in the camera's units, 0 for no reading."""
         import cv2

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, field_serializer
 from piegraph_cli.params import Box, Mode, Params, split_commas, split_pairs
 
 CheckName = Literal[
-    "pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines", "clocks"
+    "pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines", "texture", "clocks"
 ]
 """Checks of a recording's geometry (docs/checks.md), in the order in which they are made."""
 

@@ -82,6 +82,8 @@ def read_cameras_file(path: Path) -> CamerasFile:
             str(path),
             "update piegraph",
         )
+    if entries.T_world_robot is not None:
+        _transform(entries.T_world_robot, "T_world_robot", str(path), "remove it, and calibrate the robot again")
     return entries
 
 
@@ -91,24 +93,12 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
     Without `posed` a missing `T_world_camera` is the identity. Raises `DataError` naming file, camera and field.
     """
     path = cameras_file(sequence)
-    file = read_cameras_file(path)
-    if file.T_world_robot is not None:
-        read_robot(path)
-    entries = file.cameras
+    entries = read_cameras_file(path).cameras
     unposed = [name for name, entry in entries.items() if entry.T_world_camera is None]
     if posed and unposed:
         raise DataError("T_world_camera is missing", f"{path}, camera {unposed[0]}", "run `piegraph calibrate`")
     longest = max(5, *(len(entry.distortion) for entry in entries.values()))
     return [_camera(name, entry, longest, path) for name, entry in sorted(entries.items())]
-
-
-def read_robot(path: Path) -> np.ndarray:
-    """`T_world_robot` [4, 4] of a cameras.json. Raises `DataError` where it has none, or that is no rigid transform."""
-    T = read_cameras_file(path).T_world_robot
-    hint = "run `piegraph calibrate --robot POSES` or `--touched POINTS` (docs/own-recording.md)"
-    if T is None:
-        raise DataError("T_world_robot is missing: where the robot stands is not known", str(path), hint)
-    return _transform(T, "T_world_robot", str(path), hint)
 
 
 def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Camera:
@@ -221,7 +211,12 @@ def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"])
     folder = sequence / camera.name / kind
     if not folder.is_dir():
         raise DataError("folder is missing", str(folder), "see docs/formats.md for the layout")
-    return by_number([p for p in entries_of(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
+    files = [p for p in entries_of(folder) if p.is_file()]
+    found = by_number([p for p in files if p.suffix.lower() in SUFFIXES[kind]])
+    if files and not found:
+        hint = "write 16-bit PNG, whole millimetres" if kind == "depth" else "write .jpg or .png"
+        raise DataError(f"holds {min(files).name}, and no {' or '.join(SUFFIXES[kind])} files", str(folder), hint)
+    return found
 
 
 def read_color(path: Path, camera: Camera) -> bytes:
@@ -257,6 +252,17 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
             "align depth to colour when recording, or give depth_width, depth_height, depth_K and T_color_depth",
         )
     return image
+
+
+def read_mask(path: Path, camera: Camera) -> np.ndarray:
+    """A mask, bool [H, W] of the colour image's size: what is not black."""
+    import cv2
+
+    _, image = _decoded(path, cv2.IMREAD_GRAYSCALE, camera.name)
+    if image.shape != (camera.height, camera.width):
+        size = f"{image.shape[1]} x {image.shape[0]}, colour {camera.width} x {camera.height}"
+        raise DataError(f"mask of camera {camera.name}, frame {path.stem} is {size}", str(path), "remove the masks")
+    return image > 0
 
 
 def image_size(path: Path, camera: str) -> tuple[int, int]:

@@ -81,8 +81,9 @@ def level_by_table(recording: Path, sequences: Sequence[str]) -> Leveled:
         cameras = [replace(camera, T_world_camera=M @ camera.T_world_camera) for camera in cameras]
     noted: dict[str, Any] = {}
     notes = list(shots.notes)
-    if layout.read_cameras_file(path).T_world_robot is not None:
-        noted["T_world_robot"] = None if unposed else (M @ layout.read_robot(path)).tolist()
+    robot = layout.read_cameras_file(path).T_world_robot
+    if robot is not None:
+        noted["T_world_robot"] = None if unposed else (M @ np.array(robot)).tolist()
         notes.append("T_world_robot is taken out" if unposed else "T_world_robot is moved along")
     write_cameras(path, cameras, **noted)
     shown = [Shown(camera, shots.image(c, 0), f"{camera.name}  {shots.name(c, 0)}") for c, camera in enumerate(cameras)]

@@ -9,10 +9,11 @@ import numpy as np
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.checks import Check, Finding, grouped
+from piegraph_cli.recording.clocks import changes, check_clocks
 from piegraph_cli.recording.geometry import View, check_geometry
 from piegraph_cli.recording.ground import level
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -21,7 +22,7 @@ EMPTY_FRAMES = 5
 
 
 def check_frames(
-    arrays: dict[str, np.ndarray], params: IngestParams, folder: Path
+    arrays: dict[str, np.ndarray], params: ReadParams, folder: Path
 ) -> tuple[dict[str, np.ndarray], str, list[str]]:
     """The checks of a sequence's frames: as datasets, in a word or two, and as warnings.
 
@@ -35,6 +36,7 @@ def check_frames(
         for c, camera in enumerate(cameras_of(frames))
     ]
     checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table[0])
+    checks += _check_clocks(arrays, color)
     bad = [f for f in grouped([c for c in checks if c.verdict == "bad"]) if f.name not in params.accept]
     if bad:
         raise _refused(bad, folder)
@@ -51,6 +53,12 @@ def _upright(camera: Camera, table: Sequence[float]) -> Camera:
     T = level(table)
     T[2, 3] += table[0]
     return replace(camera, T_world_camera=T @ camera.T_world_camera)
+
+
+def _check_clocks(arrays: dict[str, np.ndarray], color: ImageStack) -> list[Check]:
+    names, frames = [str(name) for name in arrays["camera_name"]], range(len(color))
+    seen = [changes(color.grey(frame, c) for frame in frames) for c in range(len(names))]
+    return check_clocks(names, seen, list(arrays["stamp"].T))
 
 
 def _chosen(depth: ImageStack) -> list[int]:

@@ -40,6 +40,8 @@ def _settings(run: "Run", unit: Unit) -> PlanParams:
     return params.model_copy(update={"table": run.params("ingest").table})
 
 
+SAME = 1e-6
+"""Metres, and parts of a rotation, within which the robot stands where it stood in another recording."""
 HIGH = 0.05
 """Metres above the table at which nothing lies on it."""
 
@@ -214,7 +216,7 @@ def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
     import numpy as np
 
     from piegraph_cli.recording.ground import level
-    from piegraph_cli.recording.layout import read_robot
+    from piegraph_cli.recording.robot_files import read_robot
 
     T = np.linalg.inv(level(params.table or (0, 0, 0)))
     if params.frame == "robot":
@@ -223,12 +225,17 @@ def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
 
 
 def _cameras_file(run: "Run", params: PlanParams) -> "Path":
-    recording: Path | None = run.params("ingest").recording
-    if params.cameras is None and recording is None:
-        raise UsageError(
-            "where the robot stands is not known: this run has no recording", str(run.folder), "give --cameras FILE"
-        )
-    return params.cameras or recording / "cameras.json"  # type: ignore[operator]
+    """The cameras.json that says where the robot stands. Raises `UsageError` where there is none, or several disagree."""
+    from piegraph_cli.recording.robot_files import read_robot
+
+    files = [params.cameras] if params.cameras else [r / "cameras.json" for r in run.params("ingest").recording]
+    if not files:
+        message = "where the robot stands is not known: this run has no recording"
+        raise UsageError(message, str(run.folder), "give --cameras FILE")
+    odd = [file for file in files[1:] if abs(read_robot(file) - read_robot(files[0])).max() > SAME]
+    if odd:
+        raise UsageError(f"the robot stands elsewhere in {odd[0]}", str(files[0]), "give --cameras FILE")
+    return files[0]
 
 
 def stroke_in(T: "np.ndarray | None", ends: "np.ndarray") -> dict[str, Any]:

@@ -33,7 +33,7 @@ STAGE = Stage(
 
 
 def _truth_file(run: "Run", sequence: str) -> Path:
-    return ingest.recording_of(run) / sequence / "truth.h5"
+    return ingest.sequence_folder(run, sequence) / "truth.h5"
 
 
 def read_truth(run: "Run", sequence: str) -> "Artifact | None":
@@ -47,6 +47,7 @@ def read_truth(run: "Run", sequence: str) -> "Artifact | None":
     truth, T = read_artifact(path, "truth"), level(run.params(ingest.STAGE.name).table)
     points = {"particles", "vertices", "hand_keypoints", "end_effector"} & truth.arrays.keys()
     placed = {name: moved(truth[name], T) for name in points}
+    placed |= {name: T @ values for name, values in truth.arrays.items() if name.startswith("pose/")}
     return replace(truth, arrays=truth.arrays | placed)
 
 

@@ -102,7 +102,7 @@ def test_truth_is_moved_with_the_recording(tmp_path):
     for name in ("object_mask", "hand_mask"):
         arrays[name], arrays[f"{name}_offsets"] = empty
     path = recording / "take" / "truth.h5"
-    path.parent.mkdir(parents=True)
+    (path.parent / "c" / "color").mkdir(parents=True)
     write_artifact(path, "truth", arrays, stage="", stage_version=1, key="", params={}, inputs={}, quality="")
     run = open_run(tmp_path / "run")
     stage = run.recipe.table["ingest"]

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from piegraph_cli.perception.look import Look
 from piegraph_cli.recording.camera import Camera
 
 MASK_COLOR = (255, 0, 200)
 HAND_COLOR = (255, 210, 0)
 TIP_COLOR = (255, 40, 40)
+PARTICLE_COLOR, OTHER_COLOR = (255, 255, 0), (0, 220, 255)
 BONES = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (5, 9), (9, 10), (10, 11), (11, 12), (9, 13)]
 BONES += [(13, 14), (14, 15), (15, 16), (13, 17), (17, 18), (18, 19), (19, 20), (0, 17)]
 
@@ -68,3 +70,27 @@ def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
             top, left = r * (height + gap), c * (width + gap)
             sheet[top : top + image.shape[0], left : left + image.shape[1]] = image
     return sheet
+
+
+def look_sheet(color: Sequence[np.ndarray], cameras: Sequence[Camera], seen: Look) -> np.ndarray:
+    """The images of one look, two in a row: the object's mask and particles, boxes with a number around other things."""
+    yellow = np.tile(np.array(PARTICLE_COLOR, np.uint8), (len(seen.chosen), 1))
+    images = []
+    for c, (image, camera) in enumerate(zip(color, cameras, strict=True)):
+        drawn = draw_particles(draw_mask(image, seen.masks[c]), seen.chosen, camera, yellow)
+        for number, masks in enumerate(seen.others, 2):
+            _draw_box(drawn, masks[c], str(number))
+        images.append(label(drawn, f"{camera.name}: {seen.verdict}"))
+    return tile([images[k : k + 2] for k in range(0, len(images), 2)])
+
+
+def _draw_box(image: np.ndarray, mask: np.ndarray, text: str) -> None:
+    """Draw the box of a mask [H, W], if anything is in it, with its left and top as they are prompted."""
+    import cv2
+
+    rows, columns = np.nonzero(mask)
+    if not len(rows):
+        return
+    left, top = int(columns.min()), int(rows.min())
+    cv2.rectangle(image, (left, top), (int(columns.max()), int(rows.max())), OTHER_COLOR, 1)
+    cv2.putText(image, text, (left + 2, max(top - 3, 10)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, OTHER_COLOR, 1, cv2.LINE_AA)

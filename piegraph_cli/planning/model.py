@@ -10,7 +10,7 @@ from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
-from piegraph_cli.physics.tracking import choose_particles
+from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import Goal, move_in_plane, thinned

@@ -22,7 +22,7 @@ from piegraph_cli.physics.particles import Sizes, choose_particles, size_of
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.checks import Check, Finding, Verdict, grouped
 from piegraph_cli.recording.geometry import View, check_geometry
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 
 WORKERS = 2
 """Threads: one camera each, or the checks of geometry beside them."""
@@ -34,7 +34,7 @@ FITS = 1.35
 class LookSettings:
     """With what to look: settings of the stages, how many particles, and what object is expected."""
 
-    ingest: IngestParams = field(default_factory=IngestParams)
+    ingest: ReadParams = field(default_factory=ReadParams)
     """Of which `workspace`, `table` and `accept` count."""
     segment: SegmentParams = field(default_factory=SegmentParams)
     fuse: FuseParams = field(default_factory=FuseParams)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, field_serializer
 
 from piegraph_cli.params import Box, Mode, Params, split_commas
 
@@ -14,32 +14,73 @@ LAYOUT_HELP: dict[str, str] = {
     "piegraph": "SEQUENCE/CAMERA/color, depth and timestamps.txt, with cameras.json (docs/formats.md)",
     "tum": "TUM RGB-D: SEQUENCE/rgb.txt, depth.txt and groundtruth.txt, one camera at rest",
     "gbnd": "GBND: SEQUENCE/camera_I with images, camera_params.npy and camera_extrinsics.npy",
+    "phystwin": "PhysTwin: CASE/color, depth/CAM/STEP.npy, metadata.json and calibrate.pkl; mask where there is one",
+    "pgnd": "PGND, raw: SEQUENCE/camera_I/rgb, depth, timestamps.txt and calibration/; robot where there is one",
+    "stills": "one moment: SCENE/NAME_color.png, NAME_depth.png and cameras.json; for a look, since nothing moves",
 }
 """Layouts of recordings that can be read; each has a module in `readers/`."""
 
 
-class IngestParams(Params):
-    """Settings of `ingest`: what is recorded, and where."""
+def _several(value: object) -> object:
+    """One folder means a list of one."""
+    return (value,) if isinstance(value, str | Path) else value
 
-    recording: Path | None = Field(None, description="recording folder (docs/formats.md)")
-    layout: Literal["auto", "piegraph", "tum", "gbnd"] = Field(
+
+class ReadParams(Params):
+    """What reading one sequence depends on, beside where it is."""
+
+    layout: Literal["auto", "piegraph", "tum", "gbnd", "phystwin", "pgnd", "stills"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
     )
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
     max_skew: float = Field(
         0.05, gt=0, description="largest difference in time between the cameras' images of a frame [s]"
     )
-    exclude: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
-        (), description="sequences to leave out, by name, beside the one that shows the calibration board"
-    )
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
         description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
+    )
+    tool_point: Annotated[tuple[float, float, float], BeforeValidator(split_commas)] = Field(
+        (0.0, 0.0, 0.0), description="the tip in the frame of an end-effector that was recorded: x,y,z [m]"
     )
     table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"
     )
+
+
+class SequenceParams(ReadParams):
+    """What one sequence depends on."""
+
+    recording: Path
+    sequence: str
+    """Its folder in the recording."""
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without the folder's name: what it holds counts. Keys stay where a new setting is not used."""
+        unused = {name for name in ("tool_point",) if not any(getattr(self, name))}
+        return self.model_dump(mode="json", exclude={"sequence", *unused}) | {"exclude": []}
+
+    def files(self) -> dict[str, Path]:
+        """The sequence's folder, which stands for its recording, and the calibration beside it that PGND has."""
+        beside = self.recording / "calibration"
+        found = {"recording": self.recording / self.sequence}
+        return found | ({"calibration": beside} if (beside / "intrinsics.npy").is_file() else {})
+
+
+class IngestParams(ReadParams):
+    """Settings of `ingest`: what is recorded, and where."""
+
+    recording: Annotated[tuple[Path, ...], BeforeValidator(_several)] = Field(
+        (), description="recording folder (docs/formats.md); several of them: give it again for each"
+    )
+    exclude: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
+        (), description="sequences to leave out, by name, beside the one that shows the calibration board"
+    )
+
+    @field_serializer("recording")
+    def _one_or_several(self, value: tuple[Path, ...]) -> str | list[str]:
+        return str(value[0]) if len(value) == 1 else [str(path) for path in value]
 
 
 class MotionParams(Params):

@@ -9,7 +9,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.recording.checks import Check, Finding, grouped
 from piegraph_cli.recording.geometry import View, check_geometry
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -18,7 +18,7 @@ EMPTY_FRAMES = 5
 
 
 def check_frames(
-    arrays: dict[str, np.ndarray], params: IngestParams, folder: Path
+    arrays: dict[str, np.ndarray], params: ReadParams, folder: Path
 ) -> tuple[dict[str, np.ndarray], str, list[str]]:
     """The checks of a sequence's frames: as datasets, in a word or two, and as warnings.
 

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from piegraph_cli.errors import DataError, InputError, UsageError
+from piegraph_cli.params import validated
 from piegraph_cli.perception.look import LookSettings
 from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of, sequences_in
 from piegraph_cli.recording.images import decode_color
-from piegraph_cli.recording.layout import read_color, read_depth
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers import read_films
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.stages import STAGES, open_run, sequences
@@ -84,11 +84,12 @@ def read_scene(source: Path | str, layout: str = "auto") -> Scene:
     folder, number = _place(str(source))
     if not folder.is_dir():
         raise DataError("no such folder", str(folder), "give RECORDING/SEQUENCE:FRAME, or a folder of single frames")
-    inside = sequences_in(folder, layout)
+    params = validated(ReadParams, {"layout": layout}, "ingest", str(folder), "piegraph list layouts")
+    inside = sequences_in(folder, params.layout)
     if inside:
         hint = f"give one of them, as in {folder / inside[0]}:0"
         raise DataError(f"this is a recording of {len(inside)} sequences, not one of them", str(folder), hint)
-    films, _ = read_films(folder, layout_of(folder, layout))
+    films, _ = read_films(folder, layout_of(folder, params.layout), params)
     time = _time(films[0], number, folder)
     taken = [_image_at(film, time, folder) for film in films]
     pairs = [_read(film, k) for film, k in zip(films, taken, strict=True)]
@@ -115,7 +116,7 @@ def _time(film: Film, number: int | None, folder: Path) -> float:
 def _image_at(film: Film, time: float, folder: Path) -> int:
     """Which image of a camera is nearest to a time (s)."""
     nearest = int(np.abs(film.times - time).argmin())
-    skew, most = abs(film.times[nearest] - time), IngestParams().max_skew
+    skew, most = abs(film.times[nearest] - time), ReadParams().max_skew
     if skew > most:
         raise DataError(
             f"camera {film.camera.name} has no image within {most * 1000:.0f} ms of {time:.3f} s, the nearest is "
@@ -128,7 +129,6 @@ def _image_at(film: Film, time: float, folder: Path) -> int:
 
 def _read(film: Film, image: int) -> tuple[np.ndarray, np.ndarray]:
     """Colour and depth of one image, depth registered to colour."""
-    color_file, depth_file = film.files[image]
-    color = decode_color(np.frombuffer(read_color(color_file, film.camera), np.uint8))
-    depth = read_depth(depth_file, film.camera)
+    color = decode_color(np.frombuffer(film.images.color(image), np.uint8))
+    depth = film.images.depth(image)[0]
     return color, depth if film.camera.depth_view is None else register_depth(depth, film.camera)

@@ -9,11 +9,11 @@ from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.perception.look import LookSettings, look
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.physics.particles import Sizes, size_of
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from tests.perception.scene import WORKSPACE, Box, hand_pose, render, ring_camera
 
 CAMERAS = [ring_camera(angle, f"cam{n}") for n, angle in enumerate((0.3, 1.9, 3.4, 5.0))]
-SETTINGS = LookSettings(IngestParams(workspace=tuple(WORKSPACE.ravel()), accept=("sharpness",)))
+SETTINGS = LookSettings(ReadParams(workspace=tuple(WORKSPACE.ravel()), accept=("sharpness",)))
 CENTRE, YAW = (0.02, 0.01), 0.4
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import check_transform, image_size
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.timing import check_times, nearest
 
 DEPTH_SCALE = 1 / 5000
@@ -27,7 +28,7 @@ PUBLISHED = {
 }
 
 
-def read(folder: Path) -> tuple[list[Film], list[str]]:
+def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     """The film of a sequence folder, and warnings."""
     (times, color), (depth_times, depth) = _read_list(folder / "rgb.txt"), _read_list(folder / "depth.txt")
     gaps = check_times(times, str(folder / "rgb.txt"))
@@ -44,7 +45,7 @@ def read(folder: Path) -> tuple[list[Film], list[str]]:
     K, distortion = _intrinsics(folder)
     width, height = image_size(files[0][0], "rgb")
     camera = Camera("rgb", width, height, K, distortion, _pose(folder, times[paired]), DEPTH_SCALE)
-    return [Film(camera, times[paired], files, paired.astype(np.int64))], gaps
+    return [Film(camera, times[paired], ImageFiles(camera, files), paired.astype(np.int64))], gaps
 
 
 def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:

@@ -13,7 +13,7 @@ from piegraph_cli.recording.params import LAYOUT_HELP
 
 if TYPE_CHECKING:
     from piegraph_cli.perception.look import Look, LookSettings
-    from piegraph_cli.stages.look import Scene
+    from piegraph_cli.recording.film import Scene
 
 
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -23,12 +23,17 @@ def look(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="SOURCE", help="RECORDING/SEQUENCE, RECORDING/SEQUENCE:FRAME, or a folder of single frames"
+            metavar="SOURCE",
+            help="RECORDING/SEQUENCE, RECORDING/SEQUENCE:FRAME, or a folder of single frames; with --live the RECORDING "
+            "whose cameras.json has the cameras",
         ),
     ] = None,
     run: Annotated[
         Path | None, typer.Option("--run", help="run whose settings are taken and whose object is expected")
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="take the images from the cameras that are plugged in", show_default=False)
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="cloud to write (.ply, .npz), for plan --state")] = None,
     picture: Annotated[Path | None, typer.Option(help="picture of the masks to write (.png, .jpg)")] = None,
     set: Settings = None,
@@ -43,20 +48,33 @@ def look(
     The verdict tells whether to trust them; where it is bad the exit code is 3 and no cloud is written.
     """
     from piegraph_cli.perception.look import look as look_at
+
+    _check_outputs(out, picture)
+    if source is None:
+        raise UsageError("nothing to look at", "piegraph look", "give SOURCE, as in my_recording/sequence_0000:0")
+    settings = _settings(run, set or [], accept)
+    scene = _scene(source, layout, live)
+    emit(_report(source, scene, look_at(*scene, settings), out, picture), as_json)
+
+
+def _check_outputs(out: Path | None, picture: Path | None) -> None:
     from piegraph_cli.recording.points import check_points_file
-    from piegraph_cli.stages.look import read_scene
 
     if out is not None:
         check_points_file(out)
     if picture is not None and picture.suffix not in PICTURES:
-        raise UsageError(
-            f"cannot draw a picture as {picture.suffix or 'a file without suffix'}", str(picture), "use .png"
-        )
-    if source is None:
-        raise UsageError("nothing to look at", "piegraph look", "give SOURCE, as in my_recording/sequence_0000:0")
-    settings = _settings(run, set or [], accept)
-    scene = read_scene(source, layout)
-    emit(_report(source, scene, look_at(*scene, settings), out, picture), as_json)
+        kind = picture.suffix or "a file without suffix"
+        raise UsageError(f"cannot draw a picture as {kind}", str(picture), "use .png")
+
+
+def _scene(source: str, layout: str, live: bool) -> "Scene":
+    from piegraph_cli.capture.live import open_cameras
+    from piegraph_cli.stages.look import read_scene
+
+    if not live:
+        return read_scene(source, layout)
+    with open_cameras(source) as cameras:
+        return cameras.scene()
 
 
 def _settings(run: Path | None, changes: list[str], accept: str) -> "LookSettings":
@@ -89,26 +107,30 @@ def _report(source: str, scene: "Scene", seen: "Look", out: Path | None, picture
         write_points(out, seen.cloud, particles=seen.chosen)
     if out is not None:
         lines.append("no cloud is written" if bad else f"cloud: {out}")
-    value = {
-        "source": source,
+    files = {"cloud": str(out) if out and not bad else None, "picture": str(picture) if picture else None}
+    return Report({"source": source} | _as_object(seen) | files, lines, 3 if bad else 0)
+
+
+def _as_object(seen: "Look") -> dict[str, Any]:
+    """What was seen, for programs."""
+    findings = [
+        {"check": f.name, "verdict": f.checks[0].verdict, "cameras": f.cameras, "text": f.text, "try": f.remedy}
+        for f in seen.findings
+    ]
+    checks = [
+        {"check": c.name, "cameras": list(c.cameras), "figure": c.figure, "unit": c.unit, "verdict": c.verdict}
+        for c in seen.checks
+    ]
+    return {
         "verdict": seen.verdict,
-        "findings": [
-            {"check": f.name, "verdict": f.checks[0].verdict, "cameras": f.cameras, "text": f.text, "try": f.remedy}
-            for f in seen.findings
-        ],
+        "findings": findings,
+        "checks": checks,
         "points": len(seen.cloud),
-        "particles": None if bad else seen.chosen.tolist(),
-        "cloud": str(out) if out is not None and not bad else None,
-        "picture": str(picture) if picture is not None else None,
+        "particles": None if seen.verdict == "bad" else seen.chosen.tolist(),
         "seconds": seen.seconds,
-        "checks": [
-            {"check": c.name, "cameras": list(c.cameras), "figure": c.figure, "unit": c.unit, "verdict": c.verdict}
-            for c in seen.checks
-        ],
         "frame": "world",
         "units": "m",
     }
-    return Report(value, lines, 3 if bad else 0)
 
 
 def _draw(path: Path, scene: "Scene", seen: "Look") -> None:

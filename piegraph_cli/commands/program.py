@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from piegraph_cli import __version__
-from piegraph_cli.commands import experiments, look, runs, tools
+from piegraph_cli.commands import experiments, look, record, runs, tools
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.errors import PiegraphError
 
@@ -20,7 +20,7 @@ INTERRUPTED = 130
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
     "Runs": {"run": runs.run, "status": runs.status, "clean": runs.clean, "report": runs.report, "view": runs.view},
-    "Cameras": {"look": look.look},
+    "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {
         "list": tools.list_names,

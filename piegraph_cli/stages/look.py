@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +10,7 @@ from piegraph_cli.errors import DataError, InputError, UsageError
 from piegraph_cli.params import validated
 from piegraph_cli.perception.look import LookSettings
 from piegraph_cli.physics.particles import Sizes
-from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.film import Film, Scene
 from piegraph_cli.recording.folders import layout_of, sequences_in
 from piegraph_cli.recording.images import decode_color
 from piegraph_cli.recording.params import ReadParams
@@ -25,16 +24,6 @@ STATES = 20
 """Frames of each sequence whose particles tell how large the trained object is."""
 USED = ("ingest", "segment", "fuse", "track")
 """Stages whose settings a look takes."""
-
-
-class Scene(NamedTuple):
-    """What the cameras see at one time: the first arguments of `look`."""
-
-    color: list[np.ndarray]
-    """RGB uint8 [H, W, 3] of each camera."""
-    depth: list[np.ndarray]
-    """uint16 [H, W] of each camera, registered to colour, in units of its depth scale."""
-    cameras: list[Camera]
 
 
 def look_settings(

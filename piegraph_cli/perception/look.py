@@ -13,11 +13,12 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.clouds import fuse
-from piegraph_cli.perception.judgement import check_candidates, check_cloud, check_outline, check_size
+from piegraph_cli.perception.judgement import UNSEEN, check_candidates, check_cloud, check_outline, check_size
 from piegraph_cli.perception.object_masks import follow_object, seed_object
 from piegraph_cli.perception.params import FuseParams, SegmentParams
 from piegraph_cli.perception.parts import Part
 from piegraph_cli.perception.seeds import ObjectSeed
+from piegraph_cli.perception.surroundings import unseen_outline
 from piegraph_cli.physics.particles import Sizes, choose_particles, size_of
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.checks import Check, Finding, Verdict, grouped
@@ -127,9 +128,16 @@ def look(
         geometry = pool.submit(check_geometry, views, workspace, settings.ingest.table)
         found = _Finder(color, depth, cameras, settings, clock).find(pool)
         with clock("checks"):
-            checks = [*geometry.result(), *found.checks]
+            checks = [*map(_of_one_frame, geometry.result()), *found.checks]
     accepted = frozenset([*settings.ingest.accept, *settings.accept])
     return Look(found.cloud, found.particles, found.masks, found.others, checks, clock.all(), accepted)
+
+
+def _of_one_frame(check: Check) -> Check:
+    """A check of geometry made on one frame: edges that fit a little better elsewhere are told by several alone."""
+    if check.name == "edges" and check.verdict == "doubtful":
+        return replace(check, verdict="good", cause="", remedy="")
+    return check
 
 
 def check_scene(color: Sequence[np.ndarray], depth: Sequence[np.ndarray], cameras: Sequence[Camera]) -> None:
@@ -213,10 +221,13 @@ class _Finder:
         seed = self._seeded(segment)
         if segment.prompts or segment.points or not seed.others:
             return seed, []
-        things = [seed.masks, *(part.masks for part in seed.others)]
+        rivals = [part for part in seed.others if not self._reaches_in(part)]
+        if not rivals:
+            return seed, []
+        things = [seed.masks, *(part.masks for part in rivals)]
         fits = [n for n, masks in enumerate(things) if self._fits(masks)]
         if len(fits) != 1:
-            return seed, seed.others
+            return seed, rivals
         if fits[0] > 0:
             seed = self._seeded(segment.model_copy(update={"prompts": self._box(things[fits[0]])}))
         return seed, []
@@ -224,6 +235,13 @@ class _Finder:
     def _seeded(self, segment: SegmentParams) -> ObjectSeed:
         images = [[image] for image in self.color], [[image] for image in self.depth]
         return seed_object(*images, self.cameras, self.no_hand, self.workspace, segment, np.full((1, 3), np.nan))
+
+    def _reaches_in(self, part: Part) -> bool:
+        """Whether a thing comes from beyond the images or the workspace, as hands and arms do."""
+        cloud = self._fused(part.masks)
+        if not len(cloud):
+            return False
+        return unseen_outline(cloud, part.masks, self.depth, self.cameras, self.workspace).cut > UNSEEN[1]
 
     def _fits(self, masks: Sequence[np.ndarray]) -> bool:
         """Whether a thing is as large as the object that is expected; no thing is where none is."""

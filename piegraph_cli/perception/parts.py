@@ -12,6 +12,8 @@ from piegraph_cli.recording.camera import Camera
 
 CELL = 0.005
 """Cell size (m) of the table grid on which the cameras vote."""
+FEWEST_SHARED = 4
+"""Cells that two views must both see of a thing."""
 AT_EDGE = 0.1
 """What the area of a part counts that reaches in from the workspace's edge."""
 
@@ -81,7 +83,7 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
-    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
+    votes = _agreed(sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views), len(views))
     inner = np.zeros(shape, bool)
     inner[2:-3, 2:-3] = True
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
@@ -99,6 +101,22 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
         pieces = _large(np.where(grid, narrow, 0), params.min_area)
         found.append(part(grid, tuple(part(piece) for piece in pieces) if len(pieces) > 1 else ()))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _agreed(votes: np.ndarray, views: int) -> np.ndarray:
+    """The cells [X, Y] bool that enough views vote for: one view alone is believed, of three and more two must agree.
+
+    Two views on opposite sides hardly see the same cells of a thing: what one of them sees counts where it is connected
+    to what both see.
+    """
+    from scipy.ndimage import binary_closing, label
+
+    if views != 2:
+        return votes >= min(2, views)
+    regions, _ = label(binary_closing(votes > 0, np.ones((3, 3))), np.ones((3, 3)))
+    both = np.bincount(regions[votes > 1], minlength=regions.max() + 1) >= FEWEST_SHARED
+    both[0] = False
+    return (votes > 0) & both[regions]
 
 
 def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:

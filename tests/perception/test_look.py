@@ -48,6 +48,16 @@ def test_what_is_seen_is_the_object(cameras):
     assert set(found.seconds) == {"object", "masks", "cloud", "particles", "checks", "total"}
 
 
+def test_two_cameras_on_opposite_sides_see_one_thing():
+    """Of a tall thing they share hardly a cell of the table."""
+    cameras = CAMERAS[::2]
+    views = [render(k, CENTRE, YAW, None, seed=n, height=0.09) for n, k in enumerate(cameras)]
+    found = look([v.image for v in views], [v.depth for v in views], cameras, SETTINGS)
+    assert named(found) == {}
+    for mask, view in zip(found.masks, views, strict=True):
+        assert (mask & view.object).sum() / (mask | view.object).sum() > 0.97
+
+
 def half_hidden(view) -> None:
     column = int(np.nonzero(view.object)[1].mean())
     view.image[:, column:], view.depth[:, column:] = 120, 400

@@ -64,7 +64,8 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
-        episodes = [_plan_once(model, params)]
+        state, warnings = _state(params, context)
+        episodes = [_plan_once(model, params, state)]
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
@@ -87,12 +88,30 @@ def _check_question(params: PlanParams) -> None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
 
 
-def _plan_once(model: "Model", params: PlanParams) -> "Episode":
+def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str]]:
+    """The cloud [P, 3] (m) of the object now, and what is to be said of it: read, or seen in images."""
     from piegraph_cli.stages.points import read_points
 
-    assert params.state is not None
+    place, frame = params.state_place()
+    if not place.is_dir():
+        return read_points(place, frame), []
+    from piegraph_cli.perception.look import look
+    from piegraph_cli.stages.look import look_settings, read_scene
+
+    run = context.run.folder
+    seen = look(*read_scene(str(params.state)), look_settings(run if (run / "recipe.toml").is_file() else None))
+    try:
+        seen.require()
+    except DataError as error:
+        hint = f"piegraph look {params.state} --run {run} --picture now.png shows it; {error.hint}"
+        raise DataError(error.message, str(params.state), hint) from None
+    return seen.cloud, [f"{params.state}: {finding.text}" for finding in seen.findings]
+
+
+def _plan_once(model: "Model", params: PlanParams, state: "np.ndarray") -> "Episode":
+    from piegraph_cli.stages.points import read_points
+
     goal = read_points(*params.goal_file()) if params.goal is not None else None
-    state = read_points(params.state, None)
     try:
         return model.plan(state, goal=goal, goal_pose=params.goal_pose)
     except DataError as error:

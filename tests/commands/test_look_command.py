@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from piegraph_cli import load_model, look, look_settings, read_points, read_scene
+from piegraph_cli import load_model, look, look_settings, open_run, read_points, read_scene
 from tests.cli import SAMPLE
 from tests.commands.inside import piegraph, piegraph_json
 
@@ -25,6 +25,35 @@ def test_a_look_is_the_state_of_a_plan(tiny_run, tmp_path):
         (stroke,) = piegraph_json("plan", "--run", run, "--state", file, "--goal-pose", "0.1,0,0.3")["strokes"]
         plan = load_model(run).plan(seen.cloud, goal_pose=(0.1, 0, 0.3))
         np.testing.assert_allclose([stroke["start"], stroke["end"]], plan.strokes.ends[0], atol=1e-6)
+
+
+def test_a_plan_looks_for_itself(tiny_run, tmp_path):
+    """The same strokes as from the cloud that `look` writes; another frame is another question."""
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    source, ply = SAMPLE / "sequence_0000", tmp_path / "now.ply"
+    found = {}
+    for frame in (0, 42):
+        piegraph("look", f"{source}:{frame}", "--run", run, "--out", ply)
+        for state in (ply, f"{source}:{frame}"):
+            plan = piegraph_json("plan", "--run", run, "--state", state, "--goal-pose", "0.1,0,0.3")
+            found[frame, str(state)] = plan["strokes"][0]["start"]
+        assert found[frame, str(ply)] == found[frame, f"{source}:{frame}"]
+    assert len({tuple(start) for start in found.values()}) == 2
+    refused = piegraph("plan", "--run", run, "--state", f"{source}:20", "--goal-pose", "0.1,0,0.3", check=3)
+    assert "the look is bad" in refused.stderr
+    assert "piegraph look" in refused.stderr
+
+
+def test_another_frame_of_a_goal_is_another_question(tiny_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    positions = open_run(tiny_run).read("tracks", "sequence_0000")["positions"]
+    np.savez(tmp_path / "goals.npz", np.stack([positions[0] + [0.1, 0, 0], positions[0] + [0, 0.1, 0]]))
+    np.savez(tmp_path / "now.npz", positions[0])
+    ask = ("plan", "--run", run, "--state", tmp_path / "now.npz", "--goal")
+    first, second = (piegraph_json(*ask, f"{tmp_path / 'goals.npz'}:{frame}")["strokes"] for frame in (0, 1))
+    assert first != second
 
 
 def test_a_bad_look_ends_with_3_and_writes_no_cloud(tmp_path):

@@ -83,7 +83,9 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
-    votes = _agreed(sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views), len(views))
+    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
+    if len(views) == 2:
+        votes = _with_sides(votes, views, low, params.min_height)
     inner = np.zeros(shape, bool)
     inner[2:-3, 2:-3] = True
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
@@ -103,20 +105,20 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
     return sorted(found, key=lambda one: -one.score)
 
 
-def _agreed(votes: np.ndarray, views: int) -> np.ndarray:
-    """The cells [X, Y] bool that enough views vote for: one view alone is believed, of three and more two must agree.
+def _with_sides(votes: np.ndarray, views: Sequence[View], low: np.ndarray, min_height: float) -> np.ndarray:
+    """The cells [X, Y] bool that both views vote for, and those connected to them of what stands there for one of them.
 
-    Two views on opposite sides hardly see the same cells of a thing: what one of them sees counts where it is connected
-    to what both see.
+    Two views on opposite sides of a thing share but its top, and of a rope hardly that.
     """
     from scipy.ndimage import binary_closing, label
 
-    if views != 2:
-        return votes >= min(2, views)
-    regions, _ = label(binary_closing(votes > 0, np.ones((3, 3))), np.ones((3, 3)))
-    both = np.bincount(regions[votes > 1], minlength=regions.max() + 1) >= FEWEST_SHARED
+    loose = votes.copy()
+    for view in views:
+        loose |= cells(view.points[view.candidates & (view.points[..., 2] > min_height)], low, votes.shape)
+    regions, _ = label(binary_closing(loose, np.ones((3, 3))), np.ones((3, 3)))
+    both = np.bincount(regions[votes], minlength=regions.max() + 1) >= FEWEST_SHARED
     both[0] = False
-    return (votes > 0) & both[regions]
+    return loose & both[regions]
 
 
 def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:

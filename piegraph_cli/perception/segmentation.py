@@ -17,6 +17,8 @@ INTRUDER_SAMPLES = 10
 """Frames from which the colours of hand and sleeve are learnt."""
 ALIKE = 3.0
 """Log-likelihood ratio to the table from which a colour counts as the object's own."""
+UNLIKE = -1.5
+"""The same, from which a colour may be the object's where depth says that it stands on the table."""
 ON_HAND = 1.5
 """Evidence against the object where the hand's landmarks say that the hand is."""
 SURE_OBJECT, SURE_OTHER, EXCLUDED = 4.0, -4.0, -8.0
@@ -29,6 +31,8 @@ BAND = 5
 """Width (px) of the outline within which GrabCut decides."""
 REACH = 0.05
 """Distance (m) from the last mask at which a pixel needs clear evidence to belong to the object."""
+FLAT = 1.5
+"""Least heights that the object's top must have for its height to tell it."""
 LIFT = 0.06
 """How much (m) above its first height the object may rise."""
 
@@ -143,12 +147,12 @@ def segment_frame(
     params: SegmentParams,
 ) -> np.ndarray:
     """The mask [H, W] bool of one frame, given the last one in which the object was seen; updates `model.mixtures`."""
-    score = object_score(image, depth, camera, hand_px, workspace, previous, model, params)
+    score, certain = object_score(image, depth, camera, hand_px, workspace, previous, model, params)
     near = _grown(previous, _pixels(REACH, previous, depth, camera))
     rough = _keep_parts(score > 0, near, previous.sum() * 0.02)
     if not rough.any():
         return rough
-    return _keep_parts(_grabcut(image, rough, score, model), near, previous.sum() * 0.02)
+    return _keep_parts(_grabcut(image, rough, score, certain & rough, model), near, previous.sum() * 0.02)
 
 
 def object_score(
@@ -160,32 +164,40 @@ def object_score(
     previous: np.ndarray,
     model: ObjectModel,
     params: SegmentParams,
-) -> np.ndarray:
-    """Evidence [H, W] float32 for the object, positive where it prevails: colour, height, hand and the last mask."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Evidence [H, W] float32 for the object, positive where it prevails: colour, height, hand and the last mask.
+
+    Also where [H, W] bool it is certain, though the table may have the same colour.
+    """
     import cv2
 
     bins = lab_bins(image)
     hand = hand_region(hand_px, depth, camera)
-    score = (model.object[bins] - np.maximum(model.surroundings[bins], model.intruder[bins])).clip(-5, 5)
-    score += _height_score(depth, camera, model.height, params)
+    height, standing = _height_score(depth, camera, model.height, params)
+    to_table, to_hand = model.object[bins] - model.surroundings[bins], model.object[bins] - model.intruder[bins]
+    score = np.where(standing, to_hand, np.minimum(to_table, to_hand)).clip(-5, 5) + height
+    certain = standing & ~hand & (np.minimum(to_table, to_hand) > UNLIKE)
     score[hand] -= ON_HAND
     distance = cv2.distanceTransform((~previous).astype(np.uint8), cv2.DIST_L2, 3)
     score -= np.minimum(distance * (3 / _pixels(REACH, previous, depth, camera)), 6)
     score = cv2.GaussianBlur(score.astype(np.float32), (3, 3), 0)
     score[~inside(locate(depth, camera), workspace)] = -10
-    return score
+    return score, certain & (score > 0)
 
 
-def _height_score(depth: np.ndarray, camera: Camera, top: float, params: SegmentParams) -> np.ndarray:
-    """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure."""
+def _height_score(
+    depth: np.ndarray, camera: Camera, top: float, params: SegmentParams
+) -> tuple[np.ndarray, np.ndarray]:
+    """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure; where it is no table."""
     z = world_map(depth, camera)[..., 2]
     score = np.zeros(depth.shape, np.float32)
     sure = (depth > 0) & ~flying_pixels(depth, camera, EDGE)
-    if top > 2 * params.min_height:
-        score[sure & (z > params.min_height) & (z < top + params.min_height)] = 2
+    standing = sure & (z > params.min_height) & (top > FLAT * params.min_height)
+    score[standing & (z < top + params.min_height)] = 2
+    if top > FLAT * params.min_height:
         score[sure & (z < params.min_height / 2)] = -3
     score[sure & (z > top + LIFT)] = -10
-    return score
+    return score, standing
 
 
 def _pixels(metres: float, mask: np.ndarray, depth: np.ndarray, camera: Camera) -> float:
@@ -213,9 +225,9 @@ def _keep_parts(mask: np.ndarray, near: np.ndarray, min_pixels: float) -> np.nda
 
 
 def _grabcut(
-    image: np.ndarray, rough: np.ndarray, score: np.ndarray, model: ObjectModel, margin: int = 8
+    image: np.ndarray, rough: np.ndarray, score: np.ndarray, certain: np.ndarray, model: ObjectModel, margin: int = 8
 ) -> np.ndarray:
-    """Refine a rough mask inside its bounding box; what the score is sure of stays as it is."""
+    """Refine a rough mask inside its bounding box; what is certain, or the score is sure of, stays as it is."""
     import cv2
 
     rows, columns = np.flatnonzero(rough.any(axis=1)), np.flatnonzero(rough.any(axis=0))
@@ -227,7 +239,7 @@ def _grabcut(
     band = np.ones((BAND, BAND), np.uint8)
     deep = cv2.erode(rough[crop].astype(np.uint8), band) > 0
     away = cv2.dilate(rough[crop].astype(np.uint8), band) == 0
-    labels[deep & (score[crop] > SURE_OBJECT)] = cv2.GC_FGD
+    labels[certain[crop] | (deep & (score[crop] > SURE_OBJECT))] = cv2.GC_FGD
     labels[(away & (score[crop] < SURE_OTHER)) | (score[crop] < EXCLUDED)] = cv2.GC_BGD
     counts = np.bincount(labels.ravel() % 2, minlength=2)  # GrabCut's odd labels are the object
     if counts.min() < FEWEST:

@@ -15,7 +15,7 @@ STAGE = Stage(
     ("frames", "hands"),
     "masks",
     SegmentParams,
-    version=2,
+    version=3,
     run="piegraph_cli.stages.segment:run",
 )
 

@@ -17,8 +17,8 @@ INTRUDER_SAMPLES = 10
 """Frames from which the colours of hand and sleeve are learnt."""
 ALIKE = 3.0
 """Log-likelihood ratio to the table from which a colour counts as the object's own."""
-UNLIKE = -1.5
-"""The same, from which a colour may be the object's where depth says that it stands on the table."""
+TABLE_LIKE, HAND_UNLIKE = -1.5, 0.5
+"""Log-likelihood ratios to table and hand from which a colour is the object's where depth says that it is no table."""
 ON_HAND = 1.5
 """Evidence against the object where the hand's landmarks say that the hand is."""
 SURE_OBJECT, SURE_OTHER, EXCLUDED = 4.0, -4.0, -8.0
@@ -33,8 +33,10 @@ REACH = 0.05
 """Distance (m) from the last mask at which a pixel needs clear evidence to belong to the object."""
 FLAT = 1.5
 """Least heights that the object's top must have for its height to tell it."""
-LIFT = 0.06
-"""How much (m) above its first height the object may rise."""
+FARTHEST = 0.3
+"""The same after frames without the object: it is looked for a reach farther with each of them, up to this."""
+LIFT, HELD = 0.06, 0.03
+"""How much (m) above its first height the object may rise, and above the end-effector, which may lift it."""
 
 
 @dataclass
@@ -60,22 +62,31 @@ def segment_sequence(
     seed_frame: int,
     seed_mask: np.ndarray,
     params: SegmentParams,
+    tips: np.ndarray | None = None,
 ) -> np.ndarray:
     """Masks [F, H, W] bool of the object in one camera, from its seed [H, W] in `seed_frame` (see `seeds.find_object`).
 
     `images` RGB uint8 [H, W, 3] and `depths` [H, W] in the camera's units (0 = no reading) are indexed by frame, in
-    any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m). A frame in which the
-    object is hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
+    any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m); `tips` [F, 3] the
+    end-effector (m; NaN where unknown), as high as which the object may be lifted. A frame in which the object is
+    hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
     """
     check_seed(seed_mask, camera, seed_frame)
-    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed_mask)
+    lifted = lifted_to(tips, len(hand_px))
+    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed_mask, lifted)
     masks = np.zeros((len(hand_px), *seed_mask.shape), bool)
     for frames in (range(seed_frame, len(hand_px)), range(seed_frame - 1, -1, -1)):
-        previous = seed_mask if frames.step > 0 else masks[seed_frame]
+        previous, missed = seed_mask if frames.step > 0 else masks[seed_frame], 0
         for f in frames:
-            masks[f] = segment_frame(images[f], depths[f], camera, hand_px[f], workspace, previous, model, params)
-            previous = masks[f] if masks[f].any() else previous
+            given = images[f], depths[f], camera, hand_px[f], workspace, previous, model, params
+            masks[f] = segment_frame(*given, lifted=lifted[f], missed=missed)
+            previous, missed = (masks[f], 0) if masks[f].any() else (previous, missed + 1)
     return masks
+
+
+def lifted_to(tips: np.ndarray | None, count: int) -> np.ndarray:
+    """How high (m) [F] an end-effector [F, 3] may have lifted what it holds; 0 where it is unknown."""
+    return np.zeros(count) if tips is None else np.nan_to_num(tips[:, 2] + HELD)
 
 
 def check_seed(seed_mask: np.ndarray, camera: Camera, seed_frame: int) -> None:
@@ -96,8 +107,12 @@ def learn_object(
     workspace: np.ndarray,
     seed_frame: int,
     seed_mask: np.ndarray,
+    lifted: np.ndarray | None = None,
 ) -> ObjectModel:
-    """Learn the colours of object and table from the seed, those of hand and sleeve from frames spread over all."""
+    """Learn the colours of object and table from the seed, those of hand and sleeve from frames spread over all.
+
+    `lifted` [F] (m) as from `lifted_to`.
+    """
     import cv2
 
     depth = depths[seed_frame]
@@ -108,13 +123,14 @@ def learn_object(
     heights = world_map(depth, camera)[..., 2][seed_mask]
     heights = heights[np.isfinite(heights)]
     top = float(np.percentile(heights, 90)) if len(heights) else 0.0
+    ceilings = np.maximum(top + LIFT, np.zeros(len(hand_px)) if lifted is None else lifted)
     colours = colour_model(bins[core if core.any() else seed_mask])
     surroundings = colour_model(bins[around])
     alike = colours - surroundings > ALIKE
     return ObjectModel(
         object=colours,
         surroundings=surroundings,
-        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, top + LIFT, alike)),
+        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, ceilings, alike)),
         height=top,
     )
 
@@ -124,13 +140,13 @@ def _intruder_bins(
     depths: Sequence[np.ndarray],
     camera: Camera,
     hand_px: np.ndarray,
-    ceiling: float,
+    ceilings: np.ndarray,
     alike: np.ndarray,
 ) -> np.ndarray:
-    """Colour bins [P] of what rises above `ceiling` (m), and of the hand's bones except bins `alike` to the object."""
+    """Colour bins [P] of what rises above `ceilings` [F] (m), and of the hand's bones except bins `alike` to the object."""
     samples = [np.zeros(0, np.int32)]
     for f in np.unique(np.linspace(0, len(hand_px) - 1, INTRUDER_SAMPLES).astype(int)):
-        risen = (world_map(depths[f], camera)[..., 2] > ceiling) & ~flying_pixels(depths[f], camera, EDGE)
+        risen = (world_map(depths[f], camera)[..., 2] > ceilings[f]) & ~flying_pixels(depths[f], camera, EDGE)
         bins = lab_bins(images[f])
         samples.append(bins[risen | (hand_region(hand_px[f], depths[f], camera, 0.5) & ~alike[bins])])
     return np.concatenate(samples)
@@ -145,10 +161,16 @@ def segment_frame(
     previous: np.ndarray,
     model: ObjectModel,
     params: SegmentParams,
+    lifted: float = 0.0,
+    missed: int = 0,
 ) -> np.ndarray:
-    """The mask [H, W] bool of one frame, given the last one in which the object was seen; updates `model.mixtures`."""
-    score, certain = object_score(image, depth, camera, hand_px, workspace, previous, model, params)
-    near = _grown(previous, _pixels(REACH, previous, depth, camera))
+    """The mask [H, W] bool of one frame, given the last one in which the object was seen; updates `model.mixtures`.
+
+    `lifted` (m) as from `lifted_to`; `missed` counts the frames since the object was seen.
+    """
+    reach = min(REACH * (1 + missed), FARTHEST)
+    score, certain = object_score(image, depth, camera, hand_px, workspace, previous, model, params, lifted, reach)
+    near = _grown(previous, _pixels(reach, previous, depth, camera))
     rough = _keep_parts(score > 0, near, previous.sum() * 0.02)
     if not rough.any():
         return rough
@@ -164,6 +186,8 @@ def object_score(
     previous: np.ndarray,
     model: ObjectModel,
     params: SegmentParams,
+    lifted: float = 0.0,
+    reach: float = REACH,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Evidence [H, W] float32 for the object, positive where it prevails: colour, height, hand and the last mask.
 
@@ -173,20 +197,20 @@ def object_score(
 
     bins = lab_bins(image)
     hand = hand_region(hand_px, depth, camera)
-    height, standing = _height_score(depth, camera, model.height, params)
+    height, standing = _height_score(depth, camera, model.height, max(model.height + LIFT, lifted), params)
     to_table, to_hand = model.object[bins] - model.surroundings[bins], model.object[bins] - model.intruder[bins]
     score = np.where(standing, to_hand, np.minimum(to_table, to_hand)).clip(-5, 5) + height
-    certain = standing & ~hand & (np.minimum(to_table, to_hand) > UNLIKE)
+    certain = standing & ~hand & (to_table > TABLE_LIKE) & (to_hand > HAND_UNLIKE)
     score[hand] -= ON_HAND
     distance = cv2.distanceTransform((~previous).astype(np.uint8), cv2.DIST_L2, 3)
-    score -= np.minimum(distance * (3 / _pixels(REACH, previous, depth, camera)), 6)
+    score -= np.minimum(distance * (3 / _pixels(reach, previous, depth, camera)), 6)
     score = cv2.GaussianBlur(score.astype(np.float32), (3, 3), 0)
     score[~inside(locate(depth, camera), workspace)] = -10
     return score, certain & (score > 0)
 
 
 def _height_score(
-    depth: np.ndarray, camera: Camera, top: float, params: SegmentParams
+    depth: np.ndarray, camera: Camera, top: float, ceiling: float, params: SegmentParams
 ) -> tuple[np.ndarray, np.ndarray]:
     """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure; where it is no table."""
     z = world_map(depth, camera)[..., 2]
@@ -196,7 +220,7 @@ def _height_score(
     score[standing & (z < top + params.min_height)] = 2
     if top > FLAT * params.min_height:
         score[sure & (z < params.min_height / 2)] = -3
-    score[sure & (z > top + LIFT)] = -10
+    score[sure & (z > ceiling)] = -10
     return score, standing
 
 

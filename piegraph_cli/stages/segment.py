@@ -35,12 +35,13 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
     hand_px = hands["landmarks"].astype(np.float64)
     workspace = workspace_of(frames)
-    seed = _seed(params, color, depth, cameras, hand_px, workspace, hands["end_effector"].astype(np.float64))
+    tips = hands["end_effector"].astype(np.float64)
+    seed = _seed(params, color, depth, cameras, hand_px, workspace, tips)
     network = _network(params) if params.segmenter == "sam" else None
     masks = []
     images, depths = without_others(color, depth, cameras, seed)
     for c, camera in enumerate(context.progress(cameras, "segment", len(cameras))):
-        given = (images[c], depths[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
+        given = (images[c], depths[c], camera, hand_px[:, c], workspace, seed.frame, seed.masks[c], params, tips)
         if network is None:
             masks.append(segmentation.segment_sequence(*given))
         else:

@@ -14,6 +14,7 @@ from piegraph_cli.perception.hand_region import BONES
 from piegraph_cli.perception.hands import end_effector
 from piegraph_cli.perception.others import without_others
 from piegraph_cli.perception.params import SegmentParams
+from piegraph_cli.perception.places import inside, locate
 from piegraph_cli.perception.prompts import prompted_object
 from piegraph_cli.perception.seeds import find_object
 from piegraph_cli.perception.segmentation import segment_sequence
@@ -223,9 +224,9 @@ def away(moments, frames):
 def out_and_in():
     """The hand carries the box out of the workspace and back."""
     moments = []
-    for f in range(FRAMES + 4):
-        x = np.interp(f, [2, 5, 8, 11], [0, 0.42, 0.42, 0.05])
-        z = 0.06 * np.interp(f, [2, 3, 10, 11], [0, 1, 1, 0])
+    for f in range(16):
+        x = np.interp(f, [2, 8, 9, 15], [0, 0.42, 0.42, 0.05])
+        z = 0.06 * np.interp(f, [1, 3, 13, 15], [0, 1, 1, 0])
         hold = (x + 0.05 + 0.06 * max(2 - f, 0), 0.0, 0.035 + z)
         moments.append(Moment((Solid(at=(x, 0.0, z)),), hold))
     return moments
@@ -302,15 +303,22 @@ def judge(trouble: Trouble, cameras: Sequence[Camera] = CAMERAS, workspace=WORKS
                     seed.frame,
                     seed.masks[c],
                     params,
+                    recording.tips,
                 )
                 for c in range(len(cameras))
             ]
         )
     except DataError as error:
         return None, [str(error)]
-    union = (masks | recording.object).sum(axis=(2, 3))
+    truth = np.array(
+        [
+            [mask & inside(locate(depth, camera), workspace) for mask, depth in zip(m, d, strict=True)]
+            for m, d, camera in zip(recording.object, recording.depths, cameras, strict=True)
+        ]
+    )
+    union = (masks | truth).sum(axis=(2, 3))
     with np.errstate(invalid="ignore"):
-        scores = (masks & recording.object).sum(axis=(2, 3)) / np.where(union > 0, union, np.nan)
+        scores = (masks & truth).sum(axis=(2, 3)) / np.where(union > 0, union, np.nan)
     return scores.T, seed.warnings
 
 
@@ -323,7 +331,7 @@ def main() -> None:
         if scores is None:
             print(f"{name:42} refused | {said}")
         else:
-            worst = np.nanmin(scores, axis=1)
+            worst = [np.nanmin(row) if np.isfinite(row).any() else np.nan for row in scores]
             print(
                 f"{name:42} mean {np.nanmean(scores):.3f} worst {np.nanmin(scores):.3f} by frame {' '.join(f'{w:.2f}' for w in worst)} {time.time() - t:.1f}s | {said}",
                 flush=True,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.perception.apart import apart_elsewhere
 from piegraph_cli.perception.choice import CLEAR, Choice, Chooser
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.parts import Part, boxed, parts_of, view_of
@@ -51,9 +52,13 @@ def find_object(
     chooser = Chooser(images, depths, cameras, np.full((len(hand_px), 3), np.nan) if tips is None else tips, params)
     best: tuple[int, Choice] | None = None
     several = False
-    for f in frames:
+
+    def parts_in(f: int) -> list[Part]:
         seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], workspace, params) for c, k in enumerate(cameras))
-        parts = parts_of(list(seen), workspace, params)
+        return parts_of(list(seen), workspace, params)
+
+    for f in frames:
+        parts = parts_in(f)
         if not parts:
             continue
         first_doubt = not several and (len(parts) > 1 or bool(parts[0].pieces))
@@ -67,7 +72,7 @@ def find_object(
             break
     if best is None:
         raise _not_found(len(frames), cameras)
-    frame, choice = best
+    frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
     return ObjectSeed(frame, choice.part.masks, choice.others, _doubts(frame, choice, cameras))
 
 

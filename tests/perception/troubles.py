@@ -157,14 +157,14 @@ def _between(z, rng):
     return np.where(high - low > 0.02, low + (high - low) * rng.random(z.shape), z)
 
 
-def pushed(**solid) -> list[Moment]:
+def pushed(step=0.02, **solid) -> list[Moment]:
     """The hand comes from +x, pushes a box along -x from the fourth frame on, and lifts off."""
     box = Solid(**solid)
     moments = []
     for f in range(FRAMES):
-        way = 0.02 * min(max(f - 3, 0), 5)
+        way = step * min(max(f - 3, 0), 5)
         edge = 0.01 + box.size[0] / 2 - way
-        tip = (edge + 0.05 * max(3 - f, 0), 0.0, 0.02) if f < FRAMES - 1 else (edge + 0.1, 0.0, 0.1)
+        tip = (edge + 0.05 * max(3 - f, 0), 0.0, 0.02) if f < FRAMES - 1 else (edge + 0.22, 0.0, 0.06)
         moments.append(Moment((replace(box, at=(box.at[0] - way, box.at[1], box.at[2])),), tip))
     return moments
 
@@ -234,11 +234,12 @@ def out_and_in():
 
 TROUBLES: dict[str, Callable[[], Trouble]] = {
     "nothing": lambda: Trouble(pushed()),
-    "neighbour of the same colour, 12 mm": lambda: Trouble(beside(pushed(), neighbour(0.012))),
-    "neighbour of the same colour, 5 mm": lambda: Trouble(beside(pushed(), neighbour(0.005))),
-    "neighbour of the same colour, touching": lambda: Trouble(beside(pushed(), neighbour(0.0))),
-    "neighbour of another colour, touching": lambda: Trouble(beside(pushed(), neighbour(0.0, RED))),
-    "small neighbour, touching": lambda: Trouble(beside(pushed(), neighbour(0.0, size=(0.04, 0.04, 0.03)))),
+    "neighbour of the same colour, 12 mm": lambda: Trouble(beside(pushed(0.032), neighbour(0.012))),
+    "neighbour of the same colour, 5 mm": lambda: Trouble(beside(pushed(0.032), neighbour(0.005))),
+    "neighbour of the same colour, touching": lambda: Trouble(beside(pushed(0.032), neighbour(0.0))),
+    "neighbour of another colour, touching": lambda: Trouble(beside(pushed(0.032), neighbour(0.0, RED))),
+    "neighbour that it slides along": lambda: Trouble(beside(pushed(), neighbour(0.004))),
+    "small neighbour, touching": lambda: Trouble(beside(pushed(0.032), neighbour(0.0, size=(0.04, 0.04, 0.03)))),
     "two that touch, never moved": lambda: Trouble(
         [replace(m, tip=None) for m in beside(pushed()[:1] * 4, neighbour(0.004))], said="things"
     ),

@@ -11,6 +11,8 @@ FRAMES = 3
 """Frames, clear of the hand, in which it is looked whether the object is two things."""
 SPREAD = 9
 """Frames spread over the sequence among which these are chosen, the last ones first."""
+SAME_AREA = 0.2
+"""Share by which a thing's area may differ: where it is alone and no smaller, no other frame is looked at."""
 COVERED = 0.5
 """Share of a thing's place that the object must have covered for it to have been part of it."""
 
@@ -32,6 +34,8 @@ def apart_elsewhere(
             continue
         looked += 1
         pieces = [piece for part in parts for piece in part.pieces or (part,)]
+        if len(pieces) == 1 and abs(pieces[0].area / choice.part.area - 1) < SAME_AREA:
+            break
         left = [piece for piece in pieces if _stayed(chooser, frame, choice.part, int(other), piece)]
         if not left or len(pieces) < 2:
             continue
@@ -46,8 +50,7 @@ def _stayed(chooser: Chooser, frame: int, whole: Part, other: int, piece: Part) 
     """Whether a piece seen in frame `other` lay there as a piece of `whole` in `frame`, and never moves."""
     if _covered(piece, whole) < COVERED or chooser.change(other, piece, frame) >= SAME_PLACE:
         return False
-    trait = chooser.trait(other, piece)
-    return trait.thing and not trait.moved
+    return chooser.trait(other, piece).stays
 
 
 def _covered(piece: Part, whole: Part) -> float:

@@ -12,6 +12,8 @@ from piegraph_cli.recording.camera import Camera
 
 CELL = 0.005
 """Cell size (m) of the table grid on which the cameras vote."""
+LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + 12)
+"""Of the values of a channel, the dark ones brought together."""
 AT_EDGE = 0.1
 """What the area of a part counts that reaches in from the workspace's edge."""
 
@@ -109,7 +111,10 @@ def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:
 
 def masks_near(views: Sequence[View], away: np.ndarray, low: np.ndarray) -> list[np.ndarray]:
     """Each view's candidates [H, W] within two cells of where `away` [X, Y] (m) is zero."""
-    return [v.candidates & _at(away <= 2 * CELL, v.points, low) for v in views]
+    masks = [v.candidates.copy() for v in views]
+    for mask, v in zip(masks, views, strict=True):
+        mask[mask] = _at(away <= 2 * CELL, v.points[mask], low)
+    return masks
 
 
 def boxed(part: Part, cameras: Sequence[Camera]) -> str:
@@ -135,7 +140,7 @@ def _grid_places(points: np.ndarray, low: np.ndarray, shape: tuple[int, ...]) ->
 
 
 def _at(grid: np.ndarray, points: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """The grid's value under each of the points [H, W, 3]; False outside the grid."""
+    """The grid's value [P] under each of the points [P, 3]; False outside the grid."""
     ij, valid = _grid_places(points, low, grid.shape)
     values = np.zeros(valid.shape, bool)
     values[valid] = grid[ij[valid][:, 0], ij[valid][:, 1]]
@@ -163,7 +168,7 @@ def hue_and_light(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The smoothed image's colour ratios [H, W, 2] and brightness [H, W], logarithms."""
     import cv2
 
-    red, green, blue = np.moveaxis(np.log(cv2.GaussianBlur(image, (5, 5), 0).astype(np.float32) + 12), -1, 0)
+    red, green, blue = (cv2.LUT(channel, LOGARITHMS) for channel in cv2.split(cv2.GaussianBlur(image, (5, 5), 0)))
     return np.stack([red - green, blue - green], axis=-1), green
 
 

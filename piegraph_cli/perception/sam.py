@@ -51,13 +51,8 @@ def segment_sequence(
     Source: paper, section III-D (SAM).
     """
     predictor = import_segment_anything().SamPredictor(sam)
-    if prompt is None:
-        check_seed(seed_mask, camera, seed_frame)
-        prompt = automatic_prompt(seed_mask)
-    hand = _hand_points(hand_px[seed_frame], images[seed_frame].shape)
-    seed = predict_mask(predictor, images[seed_frame], prompt, hand, seed_mask)
-    seed &= ~hand_region(hand_px[seed_frame], depths[seed_frame], camera, 0.5)
-    check_seed(seed, camera, seed_frame)
+    given = images[seed_frame], depths[seed_frame], camera, hand_px[seed_frame]
+    seed = _seed(predictor, *given, seed_frame, seed_mask, prompt)
     lifted = lifted_to(tips, len(hand_px))
     model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed, lifted)
     masks = np.zeros((len(hand_px), *seed.shape), bool)
@@ -71,6 +66,25 @@ def segment_sequence(
                 masks[f] = _key_frame(predictor, images[f], depths[f], camera, hand_px[f], masks[f])
             previous, missed = (masks[f], 0) if masks[f].any() else (previous, missed + 1)
     return masks
+
+
+def _seed(
+    predictor: Any,
+    image: np.ndarray,
+    depth: np.ndarray,
+    camera: Camera,
+    hand_px: np.ndarray,
+    frame: int,
+    rough: np.ndarray,
+    prompt: SamPrompt | None,
+) -> np.ndarray:
+    if prompt is None:
+        check_seed(rough, camera, frame)
+        prompt = automatic_prompt(rough)
+    mask = predict_mask(predictor, image, prompt, _hand_points(hand_px, image.shape), rough)
+    mask &= ~hand_region(hand_px, depth, camera, 0.5)
+    check_seed(mask, camera, frame)
+    return mask
 
 
 def _key_frame(

@@ -1,6 +1,6 @@
 """Finding the object: what stands above the table or differs from it in colour, is no hand, and is handled."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,13 +50,24 @@ def find_object(
     """
     frames = np.unique(np.linspace(0, len(hand_px) - 1, min(len(hand_px), MAX_TRIED)).astype(int))
     chooser = Chooser(images, depths, cameras, np.full((len(hand_px), 3), np.nan) if tips is None else tips, params)
-    best: tuple[int, Choice] | None = None
-    several = False
 
     def parts_in(f: int) -> list[Part]:
         seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], workspace, params) for c, k in enumerate(cameras))
         return parts_of(list(seen), workspace, params)
 
+    best = _clearest(frames, chooser, parts_in)
+    if best is None:
+        raise _not_found(len(frames), cameras)
+    frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
+    return ObjectSeed(frame, choice.part.masks, choice.others, _doubts(frame, choice, cameras))
+
+
+def _clearest(
+    frames: Sequence[int], chooser: Chooser, parts_in: Callable[[int], list[Part]]
+) -> tuple[int, Choice] | None:
+    """The choice in the first of the frames in which it is clear of the hand and of rivals, else in the best one."""
+    best: tuple[int, Choice] | None = None
+    several = False
     for f in frames:
         parts = parts_in(f)
         if not parts:
@@ -70,10 +81,7 @@ def find_object(
             best = int(f), choice
         if best[1].part.clearance >= CLEAR and (best[1].rank < UNCLEAR or not best[1].rivals):
             break
-    if best is None:
-        raise _not_found(len(frames), cameras)
-    frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
-    return ObjectSeed(frame, choice.part.masks, choice.others, _doubts(frame, choice, cameras))
+    return best
 
 
 def _not_found(tried: int, cameras: Sequence[Camera]) -> DataError:

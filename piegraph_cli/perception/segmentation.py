@@ -11,6 +11,7 @@ from piegraph_cli.perception.colour import colour_model, lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.places import EDGE, inside, locate
+from piegraph_cli.perception.windows import WHOLE, Window, window_around
 from piegraph_cli.recording.camera import Camera
 
 INTRUDER_SAMPLES = 10
@@ -37,6 +38,8 @@ FARTHEST = 0.3
 """The same after frames without the object: it is looked for a reach farther with each of them, up to this."""
 LIFT, HELD = 0.06, 0.03
 """How much (m) above its first height the object may rise, and above the end-effector, which may lift it."""
+RIM = 8
+"""Pixels around the rough mask that GrabCut looks at."""
 
 
 @dataclass
@@ -168,13 +171,35 @@ def segment_frame(
 
     `lifted` (m) as from `lifted_to`; `missed` counts the frames since the object was seen.
     """
-    reach = min(REACH * (1 + missed), FARTHEST)
-    score, certain = object_score(image, depth, camera, hand_px, workspace, previous, model, params, lifted, reach)
-    near = _grown(previous, _pixels(reach, previous, depth, camera))
-    rough = _keep_parts(score > 0, near, previous.sum() * 0.02)
-    if not rough.any():
-        return rough
-    return _keep_parts(_grabcut(image, rough, score, certain & rough, model), near, previous.sum() * 0.02)
+    mask = np.zeros(depth.shape, bool)
+    metres = min(REACH * (1 + missed), FARTHEST)
+    reach = _pixels(metres, previous, depth, camera)
+    margin = round(1.2 * reach) + 2 * RIM
+    while True:
+        window = window_around(previous, margin)
+        given = image, depth, camera, hand_px, workspace, previous, model, params
+        score, certain = object_score(*given, lifted, metres, window)
+        near = _grown(previous[window], reach)
+        parts, boxes = _parts_near(score > 0, near)
+        if _lie_within(boxes, window, depth.shape):
+            break
+        margin *= 2
+    fewest = previous.sum() * 0.02
+    rough = _large(parts, boxes, fewest)
+    if rough.any():
+        refined = _grabcut(image[window], rough, score, certain & rough, model)
+        mask[window] = _large(*_parts_near(refined, near), fewest)
+    return mask
+
+
+def _lie_within(boxes: np.ndarray, window: Window, shape: tuple[int, ...]) -> bool:
+    """Whether boxes [N, 5] in a window lie clear of its rim, where that is not the image's."""
+    left, top, width, height = boxes[boxes[:, 4] > 0, :4].T
+    for axis, low, high in ((0, top, top + height), (1, left, left + width)):
+        begin, end = window[axis].start, window[axis].stop
+        if (begin > 0 and (low < RIM).any()) or (end < shape[axis] and (high > end - begin - RIM).any()):
+            return False
+    return True
 
 
 def object_score(
@@ -188,32 +213,36 @@ def object_score(
     params: SegmentParams,
     lifted: float = 0.0,
     reach: float = REACH,
+    window: Window = WHOLE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Evidence [H, W] float32 for the object, positive where it prevails: colour, height, hand and the last mask.
 
-    Also where [H, W] bool it is certain, though the table may have the same colour.
+    Also where [H, W] bool it is certain, though the table may have the same colour. Of the window alone, in whose
+    outermost pixels it is inexact.
     """
     import cv2
 
+    hand = hand_region(hand_px, depth, camera)[window]
+    pixels = _pixels(reach, previous, depth, camera)
+    image, depth, previous = image[window], depth[window], previous[window]
     bins = lab_bins(image)
-    hand = hand_region(hand_px, depth, camera)
-    height, standing = _height_score(depth, camera, model.height, max(model.height + LIFT, lifted), params)
+    height, standing = _height_score(depth, camera, model.height, max(model.height + LIFT, lifted), params, window)
     to_table, to_hand = model.object[bins] - model.surroundings[bins], model.object[bins] - model.intruder[bins]
     score = np.where(standing, to_hand, np.minimum(to_table, to_hand)).clip(-5, 5) + height
     certain = standing & ~hand & (to_table > TABLE_LIKE) & (to_hand > HAND_UNLIKE)
     score[hand] -= ON_HAND
     distance = cv2.distanceTransform((~previous).astype(np.uint8), cv2.DIST_L2, 3)
-    score -= np.minimum(distance * (3 / _pixels(reach, previous, depth, camera)), 6)
+    score -= np.minimum(distance * (3 / pixels), 6)
     score = cv2.GaussianBlur(score.astype(np.float32), (3, 3), 0)
-    score[~inside(locate(depth, camera), workspace)] = -10
+    score[~inside(locate(depth, camera, window), workspace)] = -10
     return score, certain & (score > 0)
 
 
 def _height_score(
-    depth: np.ndarray, camera: Camera, top: float, ceiling: float, params: SegmentParams
+    depth: np.ndarray, camera: Camera, top: float, ceiling: float, params: SegmentParams, window: Window
 ) -> tuple[np.ndarray, np.ndarray]:
     """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure; where it is no table."""
-    z = world_map(depth, camera)[..., 2]
+    z = world_map(depth, camera, window)[..., 2]
     score = np.zeros(depth.shape, np.float32)
     sure = (depth > 0) & ~flying_pixels(depth, camera, EDGE)
     standing = sure & (z > params.min_height) & (top > FLAT * params.min_height)
@@ -226,6 +255,8 @@ def _height_score(
 
 def _pixels(metres: float, mask: np.ndarray, depth: np.ndarray, camera: Camera) -> float:
     """How many pixels a length at the mask's distance covers; at one metre where its depth is unknown."""
+    window = window_around(mask, 0)
+    mask, depth = mask[window], depth[window]
     readings = depth[mask & (depth > 0)]
     distance = np.median(readings) * camera.depth_scale if len(readings) else 1.0
     return max(1.0, metres * camera.K[0, 0] / distance)
@@ -237,28 +268,32 @@ def _grown(mask: np.ndarray, pixels: float) -> np.ndarray:
     return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3) <= pixels
 
 
-def _keep_parts(mask: np.ndarray, near: np.ndarray, min_pixels: float) -> np.ndarray:
-    """The connected parts of `mask` that reach into `near` and are neither specks nor dwarfed by the largest."""
+def _parts_near(mask: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The connected parts [H, W] of `mask` by number, and for each its box [N, 5]: left, top, width, height and area.
+
+    Those that do not reach into `near`, and number 0, which is no part, have boxes of zeros.
+    """
     import cv2
 
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    area = stats[:, cv2.CC_STAT_AREA].astype(float)
-    area[0] = 0
-    area[np.setdiff1d(np.arange(count), parts[near])] = 0
-    return (area >= max(min_pixels, area.max() * 0.04, 4))[parts]
+    _, parts, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    boxes[np.bincount(parts[near], minlength=len(boxes)) == 0] = 0
+    boxes[0] = 0
+    return parts, boxes
+
+
+def _large(parts: np.ndarray, boxes: np.ndarray, fewest: float) -> np.ndarray:
+    """Where [H, W] those of `_parts_near` are that are neither specks nor dwarfed by the largest."""
+    area = boxes[:, 4]
+    return (area >= max(fewest, area.max() * 0.04, 4))[parts]
 
 
 def _grabcut(
-    image: np.ndarray, rough: np.ndarray, score: np.ndarray, certain: np.ndarray, model: ObjectModel, margin: int = 8
+    image: np.ndarray, rough: np.ndarray, score: np.ndarray, certain: np.ndarray, model: ObjectModel, margin: int = RIM
 ) -> np.ndarray:
     """Refine a rough mask inside its bounding box; what is certain, or the score is sure of, stays as it is."""
     import cv2
 
-    rows, columns = np.flatnonzero(rough.any(axis=1)), np.flatnonzero(rough.any(axis=0))
-    crop = (
-        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
-        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
-    )
+    crop = window_around(rough, margin)
     labels = np.where(rough, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)[crop]
     band = np.ones((BAND, BAND), np.uint8)
     deep = cv2.erode(rough[crop].astype(np.uint8), band) > 0

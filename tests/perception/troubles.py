@@ -6,6 +6,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class Solid:
     def hit(self, origin, rays):
         if self.rope:
             ends = np.asarray(self.rope)
-            cast = [_capsule(origin, rays, a, b, self.radius) for a, b in zip(ends, ends[1:], strict=False)]
+            cast = [_capsule(origin, rays, a, b, self.radius) for a, b in pairwise(ends)]
             reach = np.array([one for one, _ in cast])
             nearest = reach.argmin(axis=0)
             rows = np.arange(len(rays))
@@ -324,19 +325,13 @@ def judge(trouble: Trouble, cameras: Sequence[Camera] = CAMERAS, workspace=WORKS
 
 
 def main() -> None:
-    import time
-
     for name in sys.argv[1:] or TROUBLES:
-        t = time.time()
         scores, said = judge(TROUBLES[name]())
+        told = "; ".join(line.splitlines()[0] for line in said) or "nothing"
         if scores is None:
-            print(f"{name:42} refused | {said}")
+            print(f"{name:42} refused      {told}", flush=True)
         else:
-            worst = [np.nanmin(row) if np.isfinite(row).any() else np.nan for row in scores]
-            print(
-                f"{name:42} mean {np.nanmean(scores):.3f} worst {np.nanmin(scores):.3f} by frame {' '.join(f'{w:.2f}' for w in worst)} {time.time() - t:.1f}s | {said}",
-                flush=True,
-            )
+            print(f"{name:42} {np.nanmean(scores):.3f} {np.nanmin(scores):.3f}  {told}", flush=True)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,11 @@ class Part:
     """What it falls into where narrower gaps count."""
 
     @property
+    def at_edge(self) -> bool:
+        """Whether it reaches the workspace's edge."""
+        return _at_edge(self.away == 0)
+
+    @property
     def centre(self) -> np.ndarray:
         """Its middle [2] on the table (m)."""
         return np.argwhere(self.away == 0).mean(axis=0) * CELL + self.low + CELL / 2
@@ -84,14 +89,12 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
     votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
-    inner = np.zeros(shape, bool)
-    inner[2:-3, 2:-3] = True
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
 
     def part(grid: np.ndarray, pieces: tuple[Part, ...] = ()) -> Part:
         away = distance_transform_edt(~grid) * CELL
         area = float(grid.sum() * CELL**2)
-        score = area * AT_EDGE if (grid & ~inner).any() else area
+        score = area * AT_EDGE if _at_edge(grid) else area
         clearance = float(away[hand].min()) if hand.any() else np.inf
         return Part(masks_near(views, away, low), away, area, score, clearance, low, pieces)
 
@@ -101,6 +104,12 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
         pieces = _large(np.where(grid, narrow, 0), params.min_area)
         found.append(part(grid, tuple(part(piece) for piece in pieces) if len(pieces) > 1 else ()))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _at_edge(grid: np.ndarray) -> bool:
+    inner = np.zeros_like(grid)
+    inner[2:-3, 2:-3] = True
+    return bool((grid & ~inner).any())
 
 
 def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:

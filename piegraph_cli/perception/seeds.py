@@ -10,6 +10,7 @@ from piegraph_cli.perception.apart import apart_elsewhere
 from piegraph_cli.perception.choice import CLEAR, Choice, Chooser
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.parts import Part, boxed, parts_of, view_of
+from piegraph_cli.perception.reach import told_cut
 from piegraph_cli.recording.camera import Camera
 
 MAX_TRIED = 24
@@ -27,6 +28,8 @@ class ObjectSeed:
     """[H, W] bool of each camera; one that does not see the object there has an empty mask."""
     others: list[Part] = field(default_factory=list)
     """Other things that lie on the table in that frame."""
+    rivals: list[Part] = field(default_factory=list)
+    """Those of them that would have done as well."""
     warnings: list[str] = field(default_factory=list)
     """What a user should know of the choice."""
 
@@ -51,15 +54,16 @@ def find_object(
     frames = np.unique(np.linspace(0, len(hand_px) - 1, min(len(hand_px), MAX_TRIED)).astype(int))
     chooser = Chooser(images, depths, cameras, np.full((len(hand_px), 3), np.nan) if tips is None else tips, params)
 
-    def parts_in(f: int) -> list[Part]:
-        seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], workspace, params) for c, k in enumerate(cameras))
-        return parts_of(list(seen), workspace, params)
+    def parts_in(f: int, box: np.ndarray = workspace) -> list[Part]:
+        seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], box, params) for c, k in enumerate(cameras))
+        return parts_of(list(seen), box, params)
 
     best = _clearest(frames, chooser, parts_in)
     if best is None:
         raise _not_found(len(frames), cameras)
     frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
-    return ObjectSeed(frame, choice.part.masks, choice.others, _doubts(frame, choice, cameras))
+    warnings = [*_doubts(frame, choice, cameras), *told_cut(choice.part, workspace, lambda box: parts_in(frame, box))]
+    return ObjectSeed(frame, choice.part.masks, choice.others, choice.rivals, warnings)
 
 
 def _clearest(

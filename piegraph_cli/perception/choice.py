@@ -51,7 +51,7 @@ class Choice:
     rivals: list[Part] = field(default_factory=list)
     """Things that would have done as well."""
     others: list[Part] = field(default_factory=list)
-    """All other things."""
+    """All other things, rivals first."""
     leaving: list[tuple[Part, int]] = field(default_factory=list)
     """Those of them that are moved later, and from which frame on."""
 
@@ -84,7 +84,8 @@ class Chooser:
         things = [n for n, t in enumerate(traits) if t.thing and n != best]
         rivals = [parts[n] for n in things if ranks[n] == ranks[best] and traits[n].stays <= traits[best].stays]
         leaving = [(parts[n], f) for n in things if (f := traits[n].moved_from) is not None]
-        return Choice(parts[best], ranks[best], rivals, [parts[n] for n in things], leaving)
+        others = [*rivals, *(parts[n] for n in things if not any(parts[n] is rival for rival in rivals))]
+        return Choice(parts[best], ranks[best], rivals, others, leaving)
 
     def _apart(self, frame: int, part: Part) -> Sequence[Part]:
         """The pieces of a part where one is touched and moves while another never does; else the part."""

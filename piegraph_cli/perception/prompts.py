@@ -1,6 +1,7 @@
 """The object as a user points it out: boxes and points in the first frame, carried to other cameras by their place."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -58,8 +59,8 @@ def prompted_object(
     def views_in(f: int, box: np.ndarray = workspace) -> list[View]:
         return [view_of(images[c][f], depths[c][f], k, hand_px[f, c], box, params) for c, k in enumerate(cameras)]
 
-    def parts_within(box: np.ndarray) -> list[Part]:
-        return parts_of(views_in(0, box), box, params)
+    def parts_in(f: int, box: np.ndarray = workspace) -> list[Part]:
+        return parts_of(views_in(f, box), box, params)
 
     views = views_in(0)
     parts = parts_of(views, workspace, params)
@@ -70,15 +71,13 @@ def prompted_object(
     boxes = _boxes(params, cameras)
     chooser = Chooser(images, depths, cameras, tips, params)
     if len(meant) == 1 and not boxes:
-        found = apart_elsewhere(
-            chooser, 0, Choice(meant[0], UNCLEAR), lambda f: parts_of(views_in(f), workspace, params)
-        )
+        found = apart_elsewhere(chooser, 0, Choice(meant[0], UNCLEAR), parts_in)
         if found is not None:
             return _clicked(*found, params.points, cameras)
     whole = [np.logical_or.reduce(seen) for seen in zip(*(part.masks for part in meant), strict=True)]
     masks = whole or _boxed_masks(views, boxes, workspace)
     beside = [part for part in parts if not any((a & b).any() for a, b in zip(part.masks, masks, strict=True))]
-    cut = [warning for part in meant for warning in told_cut(part, workspace, parts_within)]
+    cut = [warning for part in meant for warning in told_cut(part, workspace, partial(parts_in, 0))]
     return ObjectSeed(0, masks, [part for part in beside if chooser.trait(0, part).thing], warnings=cut)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -27,9 +28,7 @@ class ObjectSeed:
     masks: Sequence[np.ndarray]
     """[H, W] bool of each camera; one that does not see the object there has an empty mask."""
     others: list[Part] = field(default_factory=list)
-    """Other things that lie on the table in that frame."""
-    rivals: list[Part] = field(default_factory=list)
-    """Those of them that would have done as well."""
+    """Other things that lie on the table in that frame, those first that would have done as well."""
     warnings: list[str] = field(default_factory=list)
     """What a user should know of the choice."""
 
@@ -62,8 +61,8 @@ def find_object(
     if best is None:
         raise _not_found(len(frames), cameras)
     frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
-    warnings = [*_doubts(frame, choice, cameras), *told_cut(choice.part, workspace, lambda box: parts_in(frame, box))]
-    return ObjectSeed(frame, choice.part.masks, choice.others, choice.rivals, warnings)
+    warnings = [*_doubts(frame, choice, cameras), *told_cut(choice.part, workspace, partial(parts_in, frame))]
+    return ObjectSeed(frame, choice.part.masks, choice.others, warnings)
 
 
 def _clearest(

@@ -54,7 +54,31 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     quality = (
         f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
     )
-    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, seed.warnings)
+    warnings = [*seed.warnings, *_picture(seed, color, cameras, context)]
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, warnings)
+
+
+def _picture(seed: "ObjectSeed", color, cameras, context: Context) -> list[str]:
+    """Where something is to be known of the choice, a picture of it in RUN/report, and the line that says so."""
+    from PIL import Image
+
+    from piegraph_cli.evaluation.overlays import draw_things, label, tile
+    from piegraph_cli.files import atomic_file
+
+    if not seed.warnings:
+        return []
+    things = [seed.masks, *(part.masks for part in seed.others)]
+    row = [
+        label(draw_things(color[c][seed.frame], [masks[c] for masks in things]), f"{camera.name}, frame {seed.frame}")
+        for c, camera in enumerate(cameras)
+    ]
+    path = context.run.folder / "report" / f"{context.unit}_object.png"
+    path.parent.mkdir(exist_ok=True)
+    with atomic_file(path) as temporary:
+        Image.fromarray(tile([row[: len(row) // 2], row[len(row) // 2 :]] if len(row) > 2 else [row])).save(
+            temporary, "PNG"
+        )
+    return [f"{path} shows what was taken (1) and what else lies there"]
 
 
 def _network(params: SegmentParams) -> Any:

@@ -187,7 +187,7 @@ class _Finder:
         self.color, self.depth, self.cameras = list(color), list(depth), list(cameras)
         self.settings, self.clock = settings, clock
         self.workspace = np.array(settings.ingest.workspace, float).reshape(3, 2)
-        self.no_hand = np.full((1, len(self.cameras), 21, 2), np.nan)
+        self.no_hand, self.no_tip = np.full((1, len(self.cameras), 21, 2), np.nan), np.full((1, 3), np.nan)
 
     def find(self, pool: ThreadPoolExecutor) -> _Found:
         """Masks, cloud and particles. What cannot be found is a bad check, not an error."""
@@ -234,7 +234,7 @@ class _Finder:
 
     def _seeded(self, segment: SegmentParams) -> ObjectSeed:
         images = [[image] for image in self.color], [[image] for image in self.depth]
-        return seed_object(*images, self.cameras, self.no_hand, self.workspace, segment, np.full((1, 3), np.nan))
+        return seed_object(*images, self.cameras, self.no_hand, self.workspace, segment, self.no_tip)
 
     def _reaches_in(self, part: Part) -> bool:
         """Whether a thing comes from beyond the images or the workspace, as hands and arms do."""
@@ -265,7 +265,8 @@ class _Finder:
         color, depth = ([[images[c]] for c in sees] for images in (self.color, self.depth))
         cameras = [self.cameras[c] for c in sees]
         segment, over = self.settings.segment, map if self.settings.segment.segmenter == "sam" else pool.map
-        found = follow_object(color, depth, cameras, self.no_hand[:, sees], self.workspace, segment, of_these, over)
+        given = color, depth, cameras, self.no_hand[:, sees], self.workspace, segment, self.no_tip
+        found = follow_object(*given, of_these, over)
         for c, frames in zip(sees, found, strict=True):
             masks[c] = frames[0]
 

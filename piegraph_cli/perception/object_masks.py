@@ -44,19 +44,20 @@ def follow_object(
     hand_px: np.ndarray,
     workspace: np.ndarray,
     params: SegmentParams,
+    tips: np.ndarray,
     seed: ObjectSeed,
     over: Callable[[Callable[[int], np.ndarray], Iterable[int]], Iterable[np.ndarray]] = map,
 ) -> list[np.ndarray]:
     """The object's masks from its seed on: one [F, H, W] bool for each camera.
 
-    `hand_px` [F, C, 21, 2] (px, NaN where no hand is); `over` is `map` or what does its work. Raises `DataError` for a
+    Arguments as `seed_object`; `over` is `map` or what does its work. Raises `DataError` for a
     camera that does not see the object, `MissingError` for a segmenter without weights.
     """
     network = _network(params) if params.segmenter == "sam" else None
     images, depths = without_others(color, depth, cameras, seed)
 
     def masks_of(c: int) -> np.ndarray:
-        given = (images[c], depths[c], cameras[c], hand_px[:, c], workspace, seed.frame, seed.masks[c], params)
+        given = (images[c], depths[c], cameras[c], hand_px[:, c], workspace, seed.frame, seed.masks[c], params, tips)
         if network is None:
             return segmentation.segment_sequence(*given)
         box = params.prompts.get(cameras[c].name)

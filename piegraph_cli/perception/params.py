@@ -11,6 +11,8 @@ from piegraph_cli.params import Params
 class HandsParams(Params):
     """Settings of `hands`."""
 
+    later = ("source",)
+
     source: Literal["auto", "hand", "file"] = Field(
         "auto", description="where the end-effector is from; auto: from the recording where it has one, else the hand"
     )
@@ -40,6 +42,8 @@ class SegmentParams(Params):
 
 class FuseParams(Params):
     """Settings of `fuse`."""
+
+    later = ("closed",)
 
     voxel_size: float = Field(0.004, gt=0, description="edge of the voxel grid the cloud is thinned on [m]")
     contact_radius: float = Field(0.03, gt=0, description="hand and object closer than this touch [m]")

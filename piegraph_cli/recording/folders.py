@@ -9,11 +9,15 @@ from piegraph_cli.errors import DataError
 
 STILL = re.compile(r"(?P<name>[^.].*?)[._-](?P<kind>color|colour|rgb|depth|pose)\.(png|jpg|jpeg|txt)")
 """What images and poses in a folder of single frames are called."""
+BAGS = (".bag", ".db3", ".mcap")
+"""Endings of ROS bags; a bag can be a sequence without a folder of its own."""
+COMPRESSED_BAGS = (*BAGS, ".zstd")
+"""With those of a file that ROS 2 compressed as a whole."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
-    """The sequence folders of a recording, sorted by name, in a layout of `SIGNS`; by default the first that fits."""
+    """The sequences of a recording, folders or bags, sorted by name, in a layout of `SIGNS`; by default the first that fits."""
     if not recording.is_dir() and recording.is_relative_to(PACKAGE):
         raise DataError(
             "the sample recording is not part of the installed package",
@@ -22,7 +26,8 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
         )
     if not recording.is_dir():
         raise DataError("no such recording folder", str(recording), "give the folder that holds cameras.json")
-    folders = sorted(path for path in entries_of(recording) if path.is_dir())
+    inside = [] if is_ros2_folder(recording) else entries_of(recording)
+    folders = sorted(path for path in inside if path.is_dir() or path.suffix in BAGS)
     for name in _wanted(layout):
         sequences = [path for path in folders if _fits(name, path)]
         if sequences:
@@ -66,12 +71,12 @@ def _wanted(layout: str) -> list[str]:
 
 
 def entries_of(folder: Path) -> list[Path]:
-    """What is in a folder; names that begin with a dot are nobody's: desktops and network disks leave them.
+    """What is in a folder, nothing in a file; names that begin with a dot are nobody's: desktops and network disks leave them.
 
     Raises `DataError` where it cannot be read.
     """
     try:
-        return [path for path in folder.iterdir() if not path.name.startswith(".")]
+        return [path for path in folder.iterdir() if not path.name.startswith(".")] if folder.is_dir() else []
     except OSError as error:
         raise unreadable(error, folder) from None
 
@@ -120,6 +125,17 @@ def _is_stills(folder: Path) -> bool:
     return "depth" in kinds and bool(kinds & {"color", "colour", "rgb"})
 
 
+def is_ros2_folder(folder: Path) -> bool:
+    """Whether a folder is one bag, as ROS 2 writes them."""
+    return (folder / "metadata.yaml").is_file() and any(path.suffix in COMPRESSED_BAGS for path in entries_of(folder))
+
+
+def _is_ros(path: Path) -> bool:
+    if path.is_file():
+        return path.suffix in BAGS
+    return any(entry.suffix in COMPRESSED_BAGS or is_ros2_folder(entry) for entry in entries_of(path))
+
+
 SIGNS: dict[str, Callable[[Path], bool]] = {
     "piegraph": _is_ours,
     "tum": _is_tum,
@@ -127,5 +143,6 @@ SIGNS: dict[str, Callable[[Path], bool]] = {
     "phystwin": _is_phystwin,
     "pgnd": _is_pgnd,
     "stills": _is_stills,
+    "ros": _is_ros,
 }
 """How the folder of a sequence is told, by layout."""

@@ -61,7 +61,8 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
 
     _check_question(params)
     set_up_torch()
-    trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
+    trained = read_model(inputs["model"]) if "model" in inputs else None
+    warnings: list[str] = []
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
         state, warnings = _state(params, context)

@@ -6,6 +6,7 @@ from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
 if TYPE_CHECKING:
+    from piegraph_cli.perception.seeds import ObjectSeed
     from piegraph_cli.workspace.artifact import Artifact
 
 STAGE = Stage(
@@ -33,8 +34,9 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     cameras, count = cameras_of(frames), len(frames["time"])
     color = [color_of(frames).of_camera(c) for c in range(len(cameras))]
     depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
-    given = color, depth, cameras, hands["landmarks"].astype(np.float64), workspace_of(frames), params
-    seed = seed_object(*given, hands["end_effector"].astype(np.float64))
+    hand_px, tips = hands["landmarks"].astype(np.float64), hands["end_effector"].astype(np.float64)
+    given = color, depth, cameras, hand_px, workspace_of(frames), params, tips
+    seed = seed_object(*given)
     masks = follow_object(*given, seed, lambda of, each: map(of, context.progress(each, "segment", len(cameras))))
     area = np.stack([m.sum((1, 2)) for m in masks], 1)
     data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
@@ -42,7 +44,31 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     quality = (
         f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
     )
-    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, seed.warnings)
+    warnings = [*seed.warnings, *_picture(seed, color, cameras, context)]
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, warnings)
+
+
+def _picture(seed: "ObjectSeed", color, cameras, context: Context) -> list[str]:
+    """Where something is to be known of the choice, a picture of it in RUN/report, and the line that says so."""
+    from PIL import Image
+
+    from piegraph_cli.evaluation.overlays import draw_things, label, tile
+    from piegraph_cli.files import atomic_file
+
+    if not seed.warnings:
+        return []
+    things = [seed.masks, *(part.masks for part in seed.others)]
+    row = [
+        label(draw_things(color[c][seed.frame], [masks[c] for masks in things]), f"{camera.name}, frame {seed.frame}")
+        for c, camera in enumerate(cameras)
+    ]
+    path = context.run.folder / "report" / f"{context.unit}_object.png"
+    path.parent.mkdir(exist_ok=True)
+    with atomic_file(path) as temporary:
+        Image.fromarray(tile([row[: len(row) // 2], row[len(row) // 2 :]] if len(row) > 2 else [row])).save(
+            temporary, "PNG"
+        )
+    return [f"{path} shows what was taken (1) and what else lies there"]
 
 
 def _recorded(frames: "Artifact") -> Output:

@@ -22,6 +22,9 @@ from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
 _as_json = json.JSONEncoder(sort_keys=True).encode
 
 Found = TypeVar("Found")
+BLOCK = 1 << 20
+"""Bytes of a file that are read at a time."""
+
 FROM_OTHERS = "what it was made from has changed"
 
 
@@ -291,7 +294,7 @@ def _place(artifact: str, unit: Unit) -> str:
 
 
 def content_hash(path: Path, setting: str) -> str:
-    """sha256 of a file, or of a folder's file names and contents together with a cameras.json beside the folder.
+    """sha256 of a file, or of a folder's file names and contents, together with a cameras.json beside it.
 
     Names that begin with a dot are nobody's.
     """
@@ -299,17 +302,24 @@ def content_hash(path: Path, setting: str) -> str:
     if path.is_dir():
         found = (p for p in path.rglob("*") if not any(part.startswith(".") for part in p.relative_to(path).parts))
         files = sorted(p for p in found if p.is_file())
-        files += [p for p in [path.parent / "cameras.json"] if p.is_file()]
     elif path.is_file():
         files = [path]
     else:
         raise DataError("no such file or folder", str(path), f"correct the setting {setting}")
+    files += [p for p in [path.parent / "cameras.json"] if p.is_file() and p != path]
     for file in files:
-        digest.update(file.relative_to(path.parent if path.is_dir() else file.parent).as_posix().encode() + b"\0")
-        try:
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
-        except OSError as error:
-            raise DataError(
-                f"cannot be read: {error.strerror or error}", str(file), "give yourself the right"
-            ) from None
+        digest.update(file.relative_to(path.parent).as_posix().encode() + b"\0")
+        digest.update(_file_hash(file))
     return digest.hexdigest()
+
+
+def _file_hash(path: Path) -> bytes:
+    """sha256 of a file, which may be larger than the memory."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while part := file.read(BLOCK):
+                digest.update(part)
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror or error}", str(path), "give yourself the right") from None
+    return digest.digest()

@@ -41,6 +41,8 @@ class CameraEntry(BaseModel):
     depth_K: list[list[float]] | None = None
     depth_distortion: list[float] | None = None
     T_color_depth: list[list[float]] | None = None
+    serial: str | None = None
+    """Of the device, by which `record` knows it again."""
 
 
 class CamerasFile(BaseModel):

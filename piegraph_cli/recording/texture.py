@@ -25,7 +25,7 @@ ANGLES = np.arange(-6.0, 6.01, 0.75)
 """Turns that are tried (deg)."""
 LIES_WELL = 2
 """Cells of shift that need no further look, where the pictures fit well."""
-APART, FIT, GAIN = (0.008, 0.012), (0.35, 0.5), (1.1, 1.2)
+APART, FIT, GAIN = (0.010, 0.014), (0.35, 0.5), (1.1, 1.2)
 """Distance (m) of two pictures that is doubtful, bad; how well they must fit there, and how much better than in place."""
 
 

@@ -1,7 +1,8 @@
 """One image of each camera, for a look at a scene: a folder of `NAME_color.png` and `NAME_depth.png` with the cameras.
 
 Cameras are in `cameras.json`; or, for views of one camera, its intrinsics are in `intrinsics.txt` (3 x 3, or fx fy cx cy;
-a longer name will do) and each view's pose, camera to world, in `NAME_pose.txt`. A dot or a dash may stand in place of the underscore.
+a longer name will do) and each view's pose, camera to world, in `NAME_pose.txt`. A dot or a dash may stand in place of
+the underscore.
 """
 
 import re

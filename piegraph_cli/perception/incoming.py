@@ -59,7 +59,8 @@ def find_tips(
     """The tip [F, 3] (m, NaN unknown) of what comes in, as `tip_of` finds it, and in which frames [F] it was seen.
 
     `depths[camera][frame]` [H, W] in the camera's units; `workspace` [3, 2] (m); `times` [F] (s). Tips that no hand could
-    reach within `max_speed` (m/s) are dropped, gaps up to `max_gap` (s) filled.
+    reach within `max_speed` (m/s) are dropped, gaps up to `max_gap` (s) filled. All unknown where no frame shows the table
+    without it: then it cannot be told from what lies there.
     """
     rest = [resting_depth(own) for own in depths]
     origins = [camera.T_world_camera[:3, 3] for camera in cameras]
@@ -67,6 +68,8 @@ def find_tips(
     tips = np.full((len(times), 3), np.nan)
     for f in range(len(times)):
         tips[f] = tip_of([newcomers(own[f], rest[c], cameras[c]) for c, own in enumerate(depths)], origins, top)
+    if np.isfinite(tips).all():
+        return np.full_like(tips, np.nan), np.zeros(len(times), bool)
     tips[~slow_chain(tips, times, max_speed)] = np.nan
     return fill_gaps(tips[:, None], times, max_gap)[:, 0], np.isfinite(tips).all(axis=1)
 

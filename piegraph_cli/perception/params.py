@@ -16,7 +16,7 @@ class HandsParams(Params):
     source: Literal["auto", "hand", "file", "stick", "glove"] = Field(
         "auto",
         description="what the end-effector is: a hand, what the recording has of it, a round stick or a hand in a glove by "
-        "depth alone; auto: from the recording where it has one, else the hand, else as a glove",
+        "depth alone; auto: from the recording where it has one, else the hand",
     )
     stick_radius: float = Field(0.01, gt=0, le=0.03, description="radius of the stick [m]")
     hand_model: Path | None = Field(None, description="hand_landmarker.task file (default: the fetched one)")

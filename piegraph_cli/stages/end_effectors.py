@@ -17,6 +17,11 @@ FILE, INCOMING = 1, 2
 POOR = 0.5
 """Share of frames with a position below which the user is warned."""
 
+AGREE = 0.03
+"""Metres by which what comes in may be beside the hand to stand in for it."""
+SHOWN = 0.2
+"""Share of frames in which something must come in to be named where no hand is found."""
+
 
 def from_file(frames: Artifact) -> Output:
     """The end-effector that was recorded beside the cameras, as a `hands` artifact. Raises `DataError` without one."""
@@ -47,43 +52,43 @@ def from_depth(frames: Artifact, params: HandsParams) -> Output:
         raise DataError(
             f"nothing comes in from above in frames 0 to {len(tips) - 1}",
             f"{frames.path}, cameras {', '.join(frames.texts('camera_name'))}",
-            "check ingest.workspace; the first frames must show the object alone",
+            "check ingest.workspace; some frames, best the first, must show the object alone",
         )
     what = "stick" if params.source == "stick" else "hand"
     quality = f"tip of a {what} in {known.mean():.0%} of {len(tips)} frames, by depth alone"
     return Output(handless(frames, tips, known, np.full(len(tips), INCOMING)), quality)
 
 
-def instead_of_hand(frames: Artifact, params: HandsParams) -> Output:
-    """What comes in, where no camera sees a hand in colour; `DataError` where nothing does, or only a hand will do."""
-    names = ", ".join(frames.texts("camera_name"))
-    none = DataError(
+def no_hand(frames: Artifact, params: HandsParams) -> DataError:
+    """The error that no camera sees a hand; it names what can be taken instead where depth shows something come in."""
+    shown = tips_by_depth(frames, params)[1].mean()
+    hint = "check that the hand is in view and lit, or remove this sequence"
+    if shown > SHOWN:
+        hint = (
+            f"depth shows something come in, in {shown:.0%} of the frames: take it with --source glove, or stick; "
+            "otherwise check that the hand is lit"
+        )
+    return DataError(
         f"no camera sees a hand in frames 0 to {len(frames['time']) - 1}",
-        f"{frames.path}, cameras {names}",
-        "check that the hand is in view and lit, or remove this sequence",
+        f"{frames.path}, cameras {', '.join(frames.texts('camera_name'))}",
+        hint,
     )
-    if params.source != "auto":
-        raise none
-    try:
-        found = from_depth(frames, params)
-    except DataError:
-        raise none from None
-    found.warnings.append(
-        "no camera sees a hand: what comes in is taken as a hand in a glove, by depth alone and to about 15 mm\n"
-        "  try: look at the pictures of `piegraph report`; --source stick for a stick, --source hand to refuse this"
-    )
-    return found
 
 
 def completed(arrays: dict[str, np.ndarray], frames: Artifact, params: HandsParams) -> list[str]:
-    """Put the tip of what comes in where the hand of `arrays` is unknown, and say so."""
+    """Put the tip of what comes in where the hand of `arrays` is unknown, and say so.
+
+    Only if it is where the hand is in the frames in which both are known.
+    """
     tips, known = tips_by_depth(frames, params)
     lost = np.isnan(arrays["end_effector"]).any(axis=1) & known
-    if not lost.any():
+    apart = np.linalg.norm((tips - arrays["end_effector"])[known & ~lost, :2], axis=1)
+    if not lost.any() or not len(apart) or np.median(apart) > AGREE:
         return []
     arrays["end_effector"] = np.where(lost[:, None], tips, arrays["end_effector"])
     arrays["source"] = np.where(lost, INCOMING, 0)
-    return [f"in {lost.sum()} frames without a hand what comes in is taken as one, by depth alone and to about 15 mm"]
+    agreement = f"which is {np.median(apart) * 1000:.0f} mm from the hand where both are known"
+    return [f"in {lost.sum()} frames without a hand what comes in by depth is taken for it, {agreement}"]
 
 
 def tips_by_depth(frames: Artifact, params: HandsParams) -> tuple[np.ndarray, np.ndarray]:

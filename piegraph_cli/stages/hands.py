@@ -33,7 +33,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
 
     from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
     from piegraph_cli.perception.two_hands import separate_hands, travel
-    from piegraph_cli.stages.end_effectors import completed, from_depth, from_file, instead_of_hand
+    from piegraph_cli.stages.end_effectors import completed, from_depth, from_file, no_hand
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of
     from piegraph_cli.weights import cached_weights
 
@@ -49,7 +49,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     bars = [context.progress(images[c], f"hands {camera.name}", len(time)) for c, camera in enumerate(cameras)]
     landmarks = np.stack([detect_hands(bar, time, model, hands)[0] for bar in bars], axis=1)
     if not np.isfinite(landmarks).any():
-        return instead_of_hand(frames, params)
+        raise no_hand(frames, params)
     each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
     tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
     ways = [travel(end_effector(track.keypoints)) for track in tracks]

@@ -7,7 +7,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.perception.clouds import while_closed
 from piegraph_cli.perception.params import FuseParams, HandsParams
 from piegraph_cli.recording.images import encode_masks, join_images
-from piegraph_cli.stages import fuse, hands
+from piegraph_cli.stages import end_effectors, fuse, hands
 from piegraph_cli.workspace.artifact import check_arrays, write_artifact
 from tests.perception.scene import WORKSPACE, ring_camera
 from tests.stages.chain import artifact, context
@@ -63,6 +63,34 @@ def test_a_gripper_holds_from_its_first_touch_to_its_last_of_each_time_it_is_clo
     np.testing.assert_array_equal(while_closed(touching, np.full(12, np.nan)), touching)
     again = np.array([8, 3, 3, 8, 8, 8, 3, 3, 3, 3, 8, 8]) / 100
     assert np.flatnonzero(while_closed(touching, again)).tolist() == [1, 2, 6, 7, 8, 9]
+
+
+def test_a_stick_is_found_where_the_setting_says_so_and_named_where_no_hand_is(monkeypatch):
+    given = frames(path(), camera_name=np.array([b"cam"]))
+    del given.arrays["end_effector"]
+    seen = np.arange(FRAMES) > 2
+    monkeypatch.setattr(end_effectors, "tips_by_depth", lambda *_: (np.where(seen[:, None], path(), np.nan), seen))
+    out = hands.run({"frames": given}, HandsParams(source="stick"), context())
+    assert (out.arrays["source"] == 2).all()
+    assert out.arrays["observed"].tolist() == seen.tolist()
+    assert out.quality == "tip of a stick in 75% of 12 frames, by depth alone"
+    error = end_effectors.no_hand(given, HandsParams())
+    assert "in 75% of the frames: take it with --source glove" in error.hint
+    arrays = {"end_effector": np.where(np.arange(FRAMES)[:, None] < 6, path(y=0.01), np.nan)}
+    told = end_effectors.completed(arrays, given, HandsParams())
+    assert told == [
+        "in 6 frames without a hand what comes in by depth is taken for it, which is 10 mm from the hand where both are known"
+    ]
+    np.testing.assert_array_equal(arrays["end_effector"][:, 1], [0.01] * 6 + [0.0] * 6)
+    assert arrays["source"].tolist() == [0] * 6 + [2] * 6
+    far = np.where(np.arange(FRAMES)[:, None] < 6, path(y=0.1), np.nan)
+    assert not end_effectors.completed({"end_effector": far}, given, HandsParams())
+    monkeypatch.setattr(
+        end_effectors, "tips_by_depth", lambda *_: (np.full((FRAMES, 3), np.nan), np.zeros(FRAMES, bool))
+    )
+    assert "check that the hand is in view" in end_effectors.no_hand(given, HandsParams()).hint
+    with pytest.raises(DataError, match="nothing comes in from above in frames 0 to 11"):
+        hands.run({"frames": given}, HandsParams(source="glove"), context())
 
 
 def test_fuse_takes_contact_from_the_opening():

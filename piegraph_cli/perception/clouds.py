@@ -108,6 +108,12 @@ def contact(
     return handled
 
 
+def opens(opening: np.ndarray) -> bool:
+    """Whether a gripper opens or closes at all: `opening` [F] (m, or any unit)."""
+    low, high = opening.min(), opening.max()
+    return bool(high - low >= max(OPENS, OPENS_SHARE * max(abs(low), abs(high))))
+
+
 def while_closed(touching: np.ndarray, opening: np.ndarray, closed: float | None = None) -> np.ndarray:
     """Frames [F] bool in which a gripper holds: of each time that it is closed, from the first touch to the last.
 
@@ -122,7 +128,7 @@ def while_closed(touching: np.ndarray, opening: np.ndarray, closed: float | None
         return touching
     filled = opening[known[(np.searchsorted(known, np.arange(len(opening)), "right") - 1).clip(0)]]
     low, high = filled.min(), filled.max()
-    if closed is None and high - low < max(OPENS, OPENS_SHARE * max(abs(low), abs(high))):
+    if closed is None and not opens(filled):
         return touching
     runs, count = label(filled <= ((low + high) / 2 if closed is None else closed))
     holds = np.zeros_like(touching)

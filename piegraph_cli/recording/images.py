@@ -70,6 +70,11 @@ class ImageStack:
             )
         return decoded
 
+    def has(self, frame: int, camera: int) -> bool:
+        """Whether there is such an image."""
+        image = frame * self.cameras + camera
+        return bool(self.offsets[image + 1] > self.offsets[image])
+
     def color(self, frame: int, camera: int) -> np.ndarray:
         """RGB uint8 [H, W, 3]."""
         import cv2

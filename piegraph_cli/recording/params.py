@@ -14,6 +14,9 @@ LAYOUT_HELP: dict[str, str] = {
     "piegraph": "SEQUENCE/CAMERA/color, depth and timestamps.txt, with cameras.json (docs/formats.md)",
     "tum": "TUM RGB-D: SEQUENCE/rgb.txt, depth.txt and groundtruth.txt, one camera at rest",
     "gbnd": "GBND: SEQUENCE/camera_I with images, camera_params.npy and camera_extrinsics.npy",
+    "phystwin": "PhysTwin: CASE/color, depth/CAM/STEP.npy, metadata.json and calibrate.pkl; mask where there is one",
+    "pgnd": "PGND, raw: SEQUENCE/camera_I/rgb, depth, timestamps.txt and calibration/; robot where there is one",
+    "stills": "one moment: SCENE/NAME_color.png, NAME_depth.png and cameras.json; for a look, since nothing moves",
     "ros": "ROS bags: SEQUENCE.bag, .db3 or .mcap, or a folder SEQUENCE with a bag per camera",
 }
 """Layouts of recordings that can be read; each has a module in `readers/`."""
@@ -29,7 +32,7 @@ class ReadParams(Params):
 
     later = ("tool_point", "tf_world", "tf_end_effector")
 
-    layout: Literal["auto", "piegraph", "tum", "gbnd", "ros"] = Field(
+    layout: Literal["auto", "piegraph", "tum", "gbnd", "phystwin", "pgnd", "stills", "ros"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
     )
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
@@ -67,8 +70,10 @@ class SequenceParams(ReadParams):
         return {name: value for name, value in super().content().items() if name != "sequence"} | {"exclude": []}
 
     def files(self) -> dict[str, Path]:
-        """The sequence's folder, which stands for its recording."""
-        return {"recording": self.recording / self.sequence}
+        """The sequence's folder, which stands for its recording, and the calibration beside it that PGND has."""
+        beside = self.recording / "calibration"
+        found = {"recording": self.recording / self.sequence}
+        return found | ({"calibration": beside} if (beside / "intrinsics.npy").is_file() else {})
 
 
 class IngestParams(ReadParams):
@@ -89,9 +94,14 @@ class IngestParams(ReadParams):
 class MotionParams(Params):
     """What one imported file depends on, beside its content."""
 
+    later = ("particles",)
+
     mode: Mode = Field("push", description="how the hand moves the object, where the file does not say")
     radius: float = Field(
         0.03, gt=0, description="hand and particles closer than this touch, where the file has no contact [m]"
+    )
+    particles: int | None = Field(
+        None, ge=4, description="keep so many of the particles, spread by farthest points (default: all)"
     )
 
 
@@ -102,7 +112,7 @@ class MotionFileParams(MotionParams):
 
     def content(self) -> dict[str, Any]:
         """As for all settings, without where the file is: what it holds counts."""
-        return self.model_dump(mode="json", exclude={"file"})
+        return {name: value for name, value in super().content().items() if name != "file"}
 
 
 class ImportParams(MotionParams):

@@ -16,6 +16,8 @@ from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.recording.timing import align_frames
 
+SMOOTHER = 8
+"""Times that depth is smoother with its bytes exchanged where they were exchanged before."""
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
@@ -33,10 +35,12 @@ def read_sequence(
         {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
     )
     if len(time) < 2:
-        raise DataError("one frame: nothing can be seen to move", str(folder), "record longer, or remove this sequence")
+        hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
+        raise DataError("one frame: nothing can be seen to move", str(folder), hint)
     clock = np.mean([film.times[source[:, c]] for c, film in enumerate(films)], axis=0)
     tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
     images, blind = _read_images(films, source, progress)
+    _check_byte_order(folder, films, source[0])
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
     arrays = images | tool | _camera_arrays(cameras)
@@ -83,10 +87,26 @@ def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> t
     return arrays, blind
 
 
+def _check_byte_order(folder: Path, films: list[Film], first: np.ndarray) -> None:
+    """Refuse depth whose two bytes are exchanged: neighbours then differ by hundreds of times as much."""
+
+    def roughness(image: np.ndarray) -> float:
+        steps = np.abs(np.diff(image.astype(np.int32), axis=1))[(image[:, 1:] > 0) & (image[:, :-1] > 0)]
+        return float(steps.mean()) if len(steps) else 0.0
+
+    for film, k in zip(films, first, strict=True):
+        image = film.images.depth(int(k))[0]
+        if roughness(image.byteswap()) * SMOOTHER < roughness(image):
+            message = f"the two bytes of depth are exchanged (big-endian), frame {film.numbers[k]}"
+            raise DataError(
+                message, f"{folder}, camera {film.camera.name}", "write each value's bytes the other way round"
+            )
+
+
 def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None:
     for c in np.flatnonzero(blind.all(0)):
         raise DataError(
             f"every depth image of camera {cameras[c].name} is zero, from frame 0 on",
             str(folder / cameras[c].name / "depth"),
-            "check that depth was recorded, or remove the camera from cameras.json",
+            "check that depth was recorded, or leave the camera out: its folder, and what cameras.json has of it",
         )

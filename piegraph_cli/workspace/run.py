@@ -316,7 +316,10 @@ def content_hash(path: Path, setting: str) -> str:
 def _file_hash(path: Path) -> bytes:
     """sha256 of a file, which may be larger than the memory."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while part := file.read(BLOCK):
-            digest.update(part)
+    try:
+        with path.open("rb") as file:
+            while part := file.read(BLOCK):
+                digest.update(part)
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror or error}", str(path), "give yourself the right") from None
     return digest.digest()

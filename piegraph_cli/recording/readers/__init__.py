@@ -10,6 +10,7 @@ from types import ModuleType
 
 from piegraph_cli.recording.end_effector import NAME, EndEffectorPath, read_end_effector
 from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.folders import unreadable
 from piegraph_cli.recording.params import ReadParams
 
 
@@ -18,7 +19,10 @@ def read_films(folder: Path, layout: str, params: ReadParams = ReadParams()) -> 
 
     Raises `DataError` naming file and camera for what is missing or wrong.
     """
-    return _reader(layout).read(folder, params)
+    try:
+        return _reader(layout).read(folder, params)
+    except OSError as error:
+        raise unreadable(error, folder) from None
 
 
 def read_path(folder: Path, layout: str, params: ReadParams) -> EndEffectorPath | None:

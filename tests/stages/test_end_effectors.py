@@ -8,9 +8,11 @@ from piegraph_cli.perception.clouds import while_closed
 from piegraph_cli.perception.params import FuseParams, HandsParams
 from piegraph_cli.recording.images import encode_masks, join_images
 from piegraph_cli.stages import end_effectors, fuse, hands
-from piegraph_cli.workspace.artifact import check_arrays, write_artifact
+from piegraph_cli.workspace.artifact import check_arrays, read_artifact, write_artifact
+from tests.cli import piegraph_json
 from tests.perception.scene import WORKSPACE, ring_camera
 from tests.stages.chain import artifact, context
+from tests.stages.make_recording import make_recording
 
 FRAMES = 12
 
@@ -129,3 +131,14 @@ def test_optional_datasets_may_be_absent_but_not_wrong():
         check_arrays("h.h5", "hands", arrays | {"opening": np.zeros(3)})
     with pytest.raises(DataError, match="end_effector is missing"):
         check_arrays("h.h5", "hands", {k: v for k, v in arrays.items() if k != "end_effector"})
+
+
+def test_a_recorded_path_goes_with_the_table_to_z_0(tmp_path):
+    recording = make_recording(tmp_path / "rec", sequences=1)
+    lines = "".join(f"{k / 10},0.1,{k / 100},0.15\n" for k in range(-1, 9))
+    (recording / "seq 0" / "end_effector.csv").write_text("time,x,y,z\n" + lines)
+    given = ("ingest", "--run", tmp_path / "run", "--recording", recording, "--accept", "table,view,edges,readings")
+    for table, height in (("0", 0.15), ("0.1", 0.05)):
+        piegraph_json(*given, "--table", table)
+        tips = read_artifact(tmp_path / "run" / "frames" / "seq 0.h5", "frames")["end_effector"]
+        np.testing.assert_allclose(tips[:, 2], height)

@@ -84,7 +84,8 @@ def calibration_sequences(sequences: list[Path]) -> set[str]:
     found = set()
     for path in (sequences[0].parent / "cameras.json", *(s / "cameras.json" for s in sequences)):
         try:
-            found.add(json.loads(path.read_text())["calibration_sequence"])
+            noted = json.loads(path.read_text())["calibration_sequence"]
+            found |= set(noted if isinstance(noted, list) else [noted])
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             continue  # reading the sequence says what is wrong
     return {path.name for path in sequences} & {name for name in found if isinstance(name, str)}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from piegraph_cli.errors import DataError
 
-STILL = re.compile(r"(?P<name>[^.].*?)[._-](?P<kind>color|colour|rgb|depth|pose)\.(png|jpg|jpeg|txt)")
+STILL = re.compile(r"(?P<name>[^.].*?)[._-](?P<kind>(color|colour|rgb|depth)(?=\.(png|jpg|jpeg))|pose(?=\.txt))\.\w+")
 """What images and poses in a folder of single frames are called."""
 BAGS = (".bag", ".db3", ".mcap")
 """Endings of ROS bags; a bag can be a sequence without a folder of its own."""

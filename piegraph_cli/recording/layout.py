@@ -61,9 +61,8 @@ def cameras_file(sequence: Path) -> Path:
     """The cameras.json of a sequence: its own, or else its recording's. Raises `DataError` where there is neither."""
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
     if path is None:
-        raise DataError(
-            "cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`"
-        )
+        hint = "write it by hand or with `piegraph calibrate`"
+        raise DataError("cameras.json is missing", str(sequence.parent), hint)
     return path
 
 
@@ -79,11 +78,8 @@ def read_cameras_file(path: Path) -> CamerasFile:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"cannot be read: {error}", str(path)) from None
     if entries.version != LAYOUT_VERSION:
-        raise DataError(
-            f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}",
-            str(path),
-            "update piegraph",
-        )
+        message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
+        raise DataError(message, str(path), "update piegraph")
     if entries.T_world_robot is not None:
         _transform(entries.T_world_robot, "T_world_robot", str(path), "remove it, and calibrate the robot again")
     return entries

@@ -140,10 +140,9 @@ def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Out
     time, cameras = arrays["time"], arrays["camera_name"]
     quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s"
     if any(params.table):
-        T = level(params.table)
-        arrays["T_world_camera"] = T @ arrays["T_world_camera"]
-        if "end_effector" in arrays:
-            arrays["end_effector"] = moved(arrays["end_effector"], T)
+        T_table_world = level(params.table)
+        arrays["T_world_camera"] = T_table_world @ arrays["T_world_camera"]
+        arrays |= {name: moved(arrays[name], T_table_world) for name in ("end_effector",) if name in arrays}
         quality += f", z = 0 is the table at z = {params.table[0]:g} m of the recording"
     quality += f", geometry {geometry}"
     first = next(unit for unit, (recording, _) in _places(context.run).items() if recording == params.recording)

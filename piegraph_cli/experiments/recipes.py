@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from piegraph_cli.dynamics.params import LEARNED, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import BY_GRADIENT, TrainParams, split_label, trained_label
 from piegraph_cli.errors import UsageError
 from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.params import validated
@@ -86,7 +86,8 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
     trained = list(dict.fromkeys(own for label in labels if (own := trained_label(label))))
     put("train", models=trained or ["piegraph"])
     if params.steps != 1:
-        put("train", **{f"{name}.steps": max(10, round(train.of(name).steps * params.steps)) for name in LEARNED})
+        steps = {name: train.of(name).model_dump()["steps"] for name in BY_GRADIENT}
+        put("train", **{f"{name}.steps": max(10, round(count * params.steps)) for name, count in steps.items()})
     put("evaluate", models=labels, horizons=list(params.horizons))
     return recipe
 

@@ -208,7 +208,7 @@ class RigidParams(FittedParams):
     """What is thought of a rigid body before its strokes are seen."""
 
     alpha: float = Field(
-        1.5, gt=0.6, description="coarsest triangles of the outline, circumradius in particle spacings"
+        1.8, ge=1, description="coarsest triangles of the outline, times those that join the particles"
     )
     friction: float = Field(0.25, gt=0, description="friction with the pusher, before strokes are seen")
     reach: float = Field(0.01, gt=0, description="distance of the pusher's centre from the outermost particles [m]")

@@ -1,11 +1,14 @@
 """A rigid body that is pushed over a table, quasi-statically: five numbers fitted to strokes, the outline from particles."""
 
+import bisect
 import math
 from typing import Any
 
 import numpy as np
 import torch
 from scipy.optimize import differential_evolution
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
 from torch import Tensor, nn
 
@@ -16,6 +19,10 @@ from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK
 
+JOINED = 0.95
+"""Share of the points that an outline holds."""
+FLAT = 1e-4
+"""Metres off a line below which points have no area."""
 STARTS = 12
 """Yaws from which one shape is laid on another whose particles do not correspond."""
 MATCHED = 0.2
@@ -78,9 +85,10 @@ class RigidBody(nn.Module):
 
         def cost(x: np.ndarray) -> np.ndarray:
             errors = self._errors(_numbers(x.T), *scene).double().mean(1).numpy()
-            return len(scene[0]) * np.log(errors) + 0.5 * (((x.T - middle) / _SPREAD) ** 2).sum(1)
+            return len(scene[0]) * np.log(errors) + np.log1p(((x.T - middle) / _SPREAD) ** 2).sum(1)
 
-        bounds = list(zip(middle - 3 * _SPREAD, middle + 3 * _SPREAD, strict=True))
+        farthest = np.array([1.5, 0.9, 0.03, 0.6 * gyration, 0.6 * gyration])
+        bounds = list(zip(middle - farthest, middle + farthest, strict=True))
         found = differential_evolution(cost, bounds, vectorized=True, updating="deferred", **_OPTIMISER)
         self.numbers = _numbers(found.x[None])[0]
 
@@ -111,21 +119,35 @@ def _numbers(x: np.ndarray) -> Tensor:
 def outline_of(points: np.ndarray, alpha: float) -> np.ndarray:
     """Ends [E, 4] (m) of the pieces of the outline of points [N, 2] (m): the edges of an alpha shape.
 
-    Triangles between points belong to it whose circumradius is at most `alpha` times the points' spacing. Raises
-    `DataError` for points that have no area.
+    Triangles between points belong to it whose circumradius is at most `alpha` times the least with which they join nearly
+    all points into one. Raises `DataError` for points that have no area.
     """
-    spacing = float(np.median(cKDTree(points).query(points, k=2)[0][:, 1])) if len(points) > 2 else 0.0
-    flat = len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < 1e-6
+    flat = len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT
     triangles = np.zeros((0, 3), np.int64) if flat else Delaunay(points).simplices
+    radius = _circumradius(points, triangles)
+    ordered = np.sort(radius)
+    enough = bisect.bisect_left(ordered, True, key=lambda limit: _joined(triangles[radius <= limit], len(points)))
+    if enough == len(ordered):
+        raise DataError("the particles span no area: no outline", hint="a rigid body lies flat; train another model")
+    kept = triangles[radius <= alpha * ordered[enough]]
+    edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
+    pairs, times = np.unique(edges, axis=0, return_counts=True)
+    return points[pairs[times == 1]].reshape(-1, 4)
+
+
+def _circumradius(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Of triangles [T, 3] between points [N, 2] (m), metres."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     sides = [np.linalg.norm(u - v, axis=1) for u, v in ((b, c), (a, c), (a, b))]
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    kept = triangles[np.prod(sides, axis=0) <= alpha * spacing * 4 * area]
-    edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
-    pairs, times = np.unique(edges, axis=0, return_counts=True)
-    if len(pairs) == 0:
-        raise DataError("the particles span no area: no outline", hint="a rigid body lies flat; train another model")
-    return points[pairs[times == 1]].reshape(-1, 4)
+    return np.prod(sides, axis=0) / np.maximum(4 * area, 1e-12)
+
+
+def _joined(triangles: np.ndarray, count: int) -> bool:
+    """Whether triangles join nearly all of so many points into one."""
+    i, j = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
+    parts = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+    return bool(np.bincount(parts).max() >= JOINED * count)
 
 
 def planar_fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:

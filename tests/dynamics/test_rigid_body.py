@@ -43,7 +43,7 @@ def pushed(numbers: list[float], count: int, seed: int = 0) -> Sequences:
     rng, body = np.random.default_rng(seed), shape()
     middle = body[:, :2].mean(0)
     local = np.column_stack([body[:, :2] - middle, body[:, 2]])
-    edges = torch.as_tensor(outline_of(local[:, :2], 1.5), dtype=torch.float32)
+    edges = torch.as_tensor(outline_of(local[:, :2], 1.8), dtype=torch.float32)
     poses = np.column_stack([rng.uniform(-0.1, 0.1, (count, 2)), rng.uniform(-3, 3, count)])
     states = np.array([turned(local, *pose) for pose in poses])
     heading = rng.uniform(-np.pi, np.pi, count)
@@ -116,7 +116,7 @@ def test_a_pusher_that_begins_too_near_moves_nothing_by_that():
 
 def test_an_outline_follows_what_goes_inwards():
     body = shape()[:, :2]
-    edges = outline_of(body, 1.5)
+    edges = outline_of(body, 1.8)
     corners = edges.reshape(-1, 2)
     notch = np.linalg.norm(corners - [0.05, 0.05], axis=1).min()
     assert notch < 0.02
@@ -126,7 +126,7 @@ def test_an_outline_follows_what_goes_inwards():
 @pytest.mark.parametrize("points", [np.zeros((2, 2)), np.column_stack([np.arange(9.0), np.zeros(9)]), np.ones((5, 2))])
 def test_points_without_an_area_have_no_outline(points):
     with pytest.raises(DataError, match="span no area"):
-        outline_of(points, 1.5)
+        outline_of(points, 1.8)
 
 
 def test_the_frame_is_found_when_other_particles_were_chosen():

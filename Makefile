@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1
 export PYTHONUNBUFFERED := 1
 
-EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
+EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search pushes
 
 SAMPLE ?= 150
 
@@ -61,7 +61,7 @@ mutants: setup
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept
 $(EXPERIMENTS): setup
-	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick)
+	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(DATA),--data "$(DATA)")
 
 reproduce: setup
 	$(BIN)/piegraph reproduce all --jobs $(JOBS) $(if $(QUICK),--quick)

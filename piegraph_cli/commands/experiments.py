@@ -31,6 +31,9 @@ def reproduce(
     set: Annotated[
         list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
     ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
+    ] = None,
     envs: Annotated[str, typer.Option(help="environments to do, as tblock,toy [default: all it has]")] = "",
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
     jobs: Jobs = 1,
@@ -46,9 +49,12 @@ def reproduce(
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
-    wanted = [experiment] if experiment != "all" else list(names.experiments())
+    wanted = [experiment] if experiment != "all" else [name for name in names.experiments() if data or name != "pushes"]
     of = [env.strip() for env in envs.split(",") if env.strip()]
-    chosen = {name: load_experiment(name, quick, set or (), of) for name in wanted}
+    chosen = {
+        name: load_experiment(name, quick, set or (), of).model_copy(update={"data": data} if data else {})
+        for name in wanted
+    }
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
     lines = [line for report in reports.values() for line in ("", *report.lines)]

@@ -150,7 +150,7 @@ def measured(path, strokes: int = 12, **changes):
     rng = np.random.default_rng(0)
     square = np.stack(np.meshgrid(np.linspace(-0.05, 0.05, 6), np.linspace(-0.05, 0.05, 6)), -1).reshape(-1, 2)
     before = square + rng.uniform(-0.1, 0.1, (strokes, 1, 2))
-    after = before + [0.02, 0.0]
+    after = before + np.array([0.02, 0.0])
     start = before.mean(1) - [0.1, 0.0]
     end = after.mean(1) - [0.06, 0.0]
     np.savez(path, **({"before": before, "after": after, "start": start, "end": end} | changes))

@@ -1,5 +1,6 @@
 """The command that makes the paper's tables and figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,21 +46,27 @@ def reproduce(
 
     Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
     """
-    from piegraph_cli.experiments.recipes import load_experiment
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
-    wanted = [experiment] if experiment != "all" else [name for name in names.experiments() if data or name != "pushes"]
-    of = [env.strip() for env in envs.split(",") if env.strip()]
-    chosen = {
-        name: load_experiment(name, quick, set or (), of).model_copy(update={"data": data} if data else {})
-        for name in wanted
-    }
+    chosen = _chosen(experiment, quick, set or (), envs, data)
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
     lines = [line for report in reports.values() for line in ("", *report.lines)]
     code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
     emit(Report({name: report.value for name, report in reports.items()}, lines[1:], code), as_json)
+
+
+def _chosen(
+    experiment: str, quick: bool, changes: Sequence[str], envs: str, data: Path | None
+) -> "dict[str, ExperimentParams]":
+    """The settings of the experiments that are meant; all of them without data are those that need none."""
+    from piegraph_cli.experiments.recipes import load_experiment
+
+    wanted = [experiment] if experiment != "all" else [name for name in names.experiments() if data or name != "pushes"]
+    of = [env.strip() for env in envs.split(",") if env.strip()]
+    given = {"data": data} if data else {}
+    return {name: load_experiment(name, quick, changes, of).model_copy(update=given) for name in wanted}
 
 
 def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Options | None") -> Report:

@@ -9,7 +9,7 @@ LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1 libusb-1.0-0
 IMPORTS := import importlib.util, cv2, mediapipe, open3d; importlib.util.find_spec('pyrealsense2') and __import__('pyrealsense2')
 export PYTHONUNBUFFERED := 1
 
-EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
+EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search pushes
 
 SAMPLE ?= 150
 
@@ -62,7 +62,7 @@ mutants: setup
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept
 $(EXPERIMENTS): setup
-	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick)
+	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(DATA),--data "$(DATA)")
 
 # recordings that are wrong on purpose, and what ingest says of them: the table of docs/checks.md
 troubles: setup

@@ -13,7 +13,7 @@ import torch
 import piegraph_cli
 from piegraph_cli import Model, Strokes, load_model, open_run, read_artifact, save_model, sequences
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.planning.planner import GOAL_POINTS, thinned
+from piegraph_cli.planning.goals import GOAL_POINTS, thinned
 from tests.cli import REPOSITORY, piegraph_json
 
 EXAMPLES = re.findall(r"```python\n(.*?)```", (REPOSITORY / "docs" / "python.md").read_text(), re.S)

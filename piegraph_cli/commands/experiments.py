@@ -32,6 +32,9 @@ def reproduce(
     set: Annotated[
         list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
     ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
+    ] = None,
     envs: Annotated[str, typer.Option(help="environments to do, as tblock,toy [default: all it has]")] = "",
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
     jobs: Jobs = 1,
@@ -43,16 +46,13 @@ def reproduce(
 
     Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
     """
-    from piegraph_cli.experiments.recipes import load_experiment
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
         emit(_troubles(folder / "troubles", quick, set or (), envs, jobs), as_json)
         return
-    wanted = [experiment] if experiment != "all" else list(names.experiments())
-    of = [env.strip() for env in envs.split(",") if env.strip()]
-    chosen = {name: load_experiment(name, quick, set or (), of) for name in wanted}
+    chosen = _chosen(experiment, quick, set or (), envs, data)
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
     lines = [line for report in reports.values() for line in ("", *report.lines)]
@@ -73,6 +73,18 @@ def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jo
     with logging_to(folder):
         value, lines = write_troubles(run_troubles(params, folder, jobs), folder)
     return Report(value, lines)
+
+
+def _chosen(
+    experiment: str, quick: bool, changes: Sequence[str], envs: str, data: Path | None
+) -> "dict[str, ExperimentParams]":
+    """The settings of the experiments that are meant; all of them without data are those that need none."""
+    from piegraph_cli.experiments.recipes import load_experiment
+
+    wanted = [experiment] if experiment != "all" else [name for name in names.experiments() if data or name != "pushes"]
+    of = [env.strip() for env in envs.split(",") if env.strip()]
+    given = {"data": data} if data else {}
+    return {name: load_experiment(name, quick, changes, of).model_copy(update=given) for name in wanted}
 
 
 def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Options | None") -> Report:

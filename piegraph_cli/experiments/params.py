@@ -10,6 +10,9 @@ from piegraph_cli.environments.params import EnvironmentName, Environments
 from piegraph_cli.params import Counts, Params, Thresholds
 from piegraph_cli.planning.params import TrialLabels
 
+MEASURED = "measured"
+"""In place of an environment: strokes that others measured."""
+
 
 class ExperimentTrials(Params):
     """The planning of an experiment."""
@@ -27,8 +30,12 @@ class ExperimentParams(Params):
 
     title: str = Field(description="what it shows")
     table: Literal["dynamics", "guidance", "interactions", "search"] = Field(description="the table it ends in")
-    interactions: dict[EnvironmentName, Counts] = Field(description="training sequences, by environment", min_length=1)
+    interactions: dict[EnvironmentName | Literal["measured"], Counts] = Field(
+        description="training sequences, by environment", min_length=1
+    )
     models: Labels = Field(description="models to compare, by name")
+    also: dict[EnvironmentName, Labels] = Field({}, description="further models in some environments")
+    data: Path | None = Field(None, description="file or folder of strokes that others measured, for `import`")
     variants: dict[str, dict[str, Any]] = Field({}, description="as `train.variants`")
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = Field(
         (0, 1, 2), description="seeds of training"
@@ -57,8 +64,9 @@ class ExperimentParams(Params):
     def labels(self, environment: str) -> list[str]:
         """The models to compare in an environment, each with its number of training sequences."""
         counts = self.interactions[environment]  # type: ignore[index]
-        return [_on(model, count) for count in counts for model in self.models if trained_label(model)] + [
-            model for model in self.models if not trained_label(model)
+        models = (*self.models, *self.also.get(environment, ()))  # type: ignore[call-overload]
+        return [_on(model, count) for count in counts for model in models if trained_label(model)] + [
+            model for model in models if not trained_label(model)
         ]
 
     def trial_labels(self, environment: str) -> list[str]:

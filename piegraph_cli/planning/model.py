@@ -12,8 +12,8 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
 from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
+from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.planner import Goal, move_in_plane, thinned
 from piegraph_cli.recording.ground import level, moved
 
 STATE_POINTS = 20_000
@@ -82,10 +82,12 @@ class Model:
         seen = choose_particles(thinned(cloud, STATE_POINTS), self.particles).astype(np.float32)
         if (goal is None) == (goal_pose is None):
             raise DataError("one goal is needed", "plan", "give goal or goal_pose")
-        if params.goal_pose is None:
-            target = Goal(moved(_points(goal, "goal"), T), corresponds)
+        if params.goal_pose is not None:
+            target = Goal.of_particles(move_in_plane(seen, params.goal_pose))
+        elif corresponds:
+            target = Goal.of_particles(moved(_points(goal, "goal"), T))
         else:
-            target = Goal(move_in_plane(seen, params.goal_pose), True)
+            target = Goal.of_cloud(moved(_points(goal, "goal"), T), cloud, seen)
         return plan_once(self.trained, seen, target, params, self.device)
 
 

@@ -49,7 +49,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     model: Label = Field("piegraph", description=f"model that predicts: {MODEL_NAMES}")
     cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
         "auto",
-        description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
+        description="particle, earth mover's or chamfer distance; auto: the first if goal and object have one shape, else emd",
     )
     modes: Modes = Field((), description="kinds of strokes: push, pick (default: what model and environment both know)")
     planner: Literal["cem", "mppi", "greedy"] = Field(

@@ -16,9 +16,13 @@ if TYPE_CHECKING:
     import numpy as np
 
     from piegraph_cli.planning.episode import Episode
+    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.planner import Goal
     from piegraph_cli.workspace.run import Run
+
+
+METRICS = {"distance": "particle distance", "emd": "earth mover's distance", "chamfer": "chamfer distance"}
+"""What distances to the goal are called."""
 
 
 def _units(run: "Run") -> Sequence[Unit]:
@@ -51,7 +55,7 @@ STAGE = Stage(
     ("model",),
     "plan",
     PlanParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.plan:run",
     unit="run",
     on_demand=True,
@@ -69,8 +73,9 @@ STAGE = Stage(
 def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
     from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.planner import Goal, tool_warnings
+    from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
     from piegraph_cli.stages.steps import open_environment
@@ -87,7 +92,7 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
-            return _given_goal(params, state) or Goal(sample(), True)
+            return _given_goal(params, state) or Goal.of_particles(sample())
 
         environment = open_environment(params, model)
         numbers = context.progress(range(params.episodes), "plan")
@@ -167,13 +172,13 @@ def _above_table(state: "np.ndarray", params: PlanParams) -> list[str]:
 
 def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
     """The goal that the settings name, for the object's particles now [N, 3] (m)."""
-    from piegraph_cli.planning.planner import Goal, move_in_plane
+    from piegraph_cli.planning.goals import Goal, move_in_plane
     from piegraph_cli.stages.points import read_points
 
     if params.goal is not None:
-        return Goal(read_points(*params.goal_file()), False)
+        return Goal.of_cloud(read_points(*params.goal_file()), state, state)
     if params.goal_pose is not None:
-        return Goal(move_in_plane(state, params.goal_pose), True)
+        return Goal.of_particles(move_in_plane(state, params.goal_pose))
     return None
 
 
@@ -185,6 +190,7 @@ def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndar
     particles = len(episodes[0].start)
     return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
         "goal": np.array([episode.goal for episode in episodes]),
+        "metric": np.array([episode.metric for episode in episodes]),
         "seed": np.full(len(episodes), params.seed),
         "start_distance": np.array([episode.start_distance for episode in episodes]),
         "end_distance": np.array([episode.end_distance for episode in episodes]),
@@ -195,15 +201,16 @@ def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndar
 def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
     import numpy as np
 
+    of = METRICS[str(arrays["metric"][0])]
     if params.state is not None and len(arrays["stroke"]) == 0:
         start = arrays["start_distance"][0] * 100
-        return f"no stroke: {start:.1f} cm from the goal already, success is {params.success * 100:g} cm"
+        return f"no stroke: {start:.1f} cm of {of} from the goal already, success is {params.success * 100:g} cm"
     if params.state is not None:
-        return f"{len(arrays['stroke'])} strokes, predicted distance {arrays['cost'][-1] * 100:.1f} cm"
+        return f"{len(arrays['stroke'])} strokes, predicted {of} {arrays['cost'][-1] * 100:.1f} cm"
     solved = arrays["end_distance"] < params.success
     counts = [int((arrays["episode"] == i).sum()) for i in np.flatnonzero(solved)]
     mean = f", {np.mean(counts):.1f} strokes each" if counts else ""
-    return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm{mean}"
+    return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm of {of}{mean}"
 
 
 def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
@@ -232,6 +239,7 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
         lines.append(f"in the robot's frame, by T_world_robot of {_cameras_file(run, params)}")
     ends = plan["end_distance"].tolist()
     value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": params.frame, "units": "m"}
+    value |= {"metric": plan.texts("metric")[0], "start_distance": plan["start_distance"].tolist()}
     return value if np.isnan(ends).all() else value | {"end_distance": ends}, lines
 
 

@@ -148,6 +148,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     },
     "plan": {
         "goal": Field("episode,goal_point,xyz", "m", "float32"),
+        "metric": Field("episode", "text", TEXT),
         "episode": Field("step", "episode", "int64"),
         **_STEPS,
         "seed": Field("episode", "1", "int64"),

@@ -373,7 +373,7 @@ def test_modes_that_the_model_or_the_environment_lacks_are_refused():
     ("kind", "corresponds", "means"),
     [
         ("auto", True, "distance"),
-        ("auto", False, "chamfer"),
+        ("auto", False, "emd"),
         ("distance", False, "distance"),
         ("chamfer", True, "chamfer"),
         ("emd", True, "emd"),

@@ -94,7 +94,7 @@ def test_derivatives_are_those_of_the_residuals():
 
 
 def test_lenses_are_found_where_the_board_is_tilted_and_refused_where_it_is_not():
-    seen = sightings(held(10))
+    seen = sightings(held(10), images=1)
     wrong = replace(seen, K=seen.K * [[1.06, 1, 1], [1, 1.06, 1], [1, 1, 1]], distortion=0 * seen.distortion)
     assert misses(solve(wrong, BOARD)).min(0)[0] > 20
     found = solve(wrong, BOARD, lenses=True)

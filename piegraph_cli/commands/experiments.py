@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.execute import Options
 
 
+Runs = Annotated[
+    Path | None, typer.Option(help="folder of the experiments' runs [default: runs/paper, or runs/quick with --quick]")
+]
+
+
 def reproduce(
     experiment: Annotated[
         str,
@@ -24,10 +29,7 @@ def reproduce(
             autocompletion=lambda: [*names.all_experiments(), "all"],
         ),
     ],
-    runs: Annotated[
-        Path | None,
-        typer.Option(help="folder of the experiments' runs [default: runs/paper, or runs/quick with --quick]"),
-    ] = None,
+    runs: Runs = None,
     quick: Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")] = False,
     set: Annotated[
         list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")

@@ -12,6 +12,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from piegraph_cli import __version__
 from piegraph_cli.commands import experiments, runs, tools
+from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.errors import PiegraphError
 
@@ -23,7 +24,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {
         "list": tools.list_names,
-        "calibrate": tools.calibrate,
+        "calibrate": calibrate,
         "doctor": tools.doctor,
         "bench": tools.bench,
     },

@@ -13,7 +13,7 @@ from piegraph_cli.environments.params import (
     Environments,
     EnvironmentSettings,
 )
-from piegraph_cli.params import Box, Modes, Params, Pose2, Thresholds, split_commas
+from piegraph_cli.params import Box, Modes, Params, Pose2, Table, Thresholds, split_commas
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
 
@@ -28,6 +28,15 @@ class PlanParams(PredictionParams, EnvironmentParams):
     state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
+    table: Table | None = Field(
+        None,
+        description="plane of the table in the world of --state and --goal: HEIGHT [m], or HEIGHT,SLOPE_X,SLOPE_Y "
+        "(default: as ingest.table)",
+    )
+    frame: Literal["world", "robot"] = Field("world", description="whose coordinates strokes are told in")
+    cameras: Path | None = Field(
+        None, description="cameras.json with T_world_robot, for --frame robot (default: the recording's)"
+    )
     model: Label = Field("piegraph", description=f"model that predicts: {MODEL_NAMES}")
     cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
         "auto",
@@ -67,6 +76,11 @@ class PlanParams(PredictionParams, EnvironmentParams):
         if self.min_length >= self.max_length:
             raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
         return self
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings, without how a plan is told; a table at z = 0 and no file are left out."""
+        unsaid = {"frame"} | ({"table"} if not any(self.table or ()) else set()) | ({"cameras"} - {*self.files()})
+        return {name: value for name, value in super().content().items() if name not in unsaid}
 
     def goal_file(self) -> tuple[Path, int | None]:
         """The goal's file and frame, from FILE or FILE:FRAME."""

@@ -110,7 +110,7 @@ def check_images(camera: Camera, depth: Sequence[np.ndarray], color: Sequence[np
     verdict = judged(clipped, CLIPPED)
     remedy = "change exposure or light" if verdict != "good" else ""
     checks.append(Check("exposure", who, clipped, "1", CLIPPED, verdict, text, remedy=remedy))
-    sharpness = _sharpness(color[0])
+    sharpness = sharpness_of(color[0])
     if sharpness is not None:
         dull: Verdict = "doubtful" if sharpness < SHARP else "good"
         text = f"edges are {sharpness:.2f} times as strong as after a blur"
@@ -119,7 +119,7 @@ def check_images(camera: Camera, depth: Sequence[np.ndarray], color: Sequence[np
     return checks
 
 
-def _sharpness(color: np.ndarray) -> float | None:
+def sharpness_of(color: np.ndarray) -> float | None:
     """How much a blur of two pixels weakens the strongest edges; None in an image that has none."""
     import cv2
 

@@ -27,6 +27,10 @@ IN_VIEW = 0.05
 """Share of the image that should show the table, for one that is not found to be bad."""
 SHIFT, GAIN = (0.012, 0.018), (1.25, 1.5)
 """Shift of depth against colour as a share of the width, and how much better the edges must fit there."""
+REGISTER = (
+    "register depth to colour when recording (RealSense: align to color), or give depth_K and T_color_depth, "
+    "which ingest registers it by"
+)
 
 
 @dataclass(frozen=True)
@@ -217,5 +221,5 @@ def _check_edges(look: _Look) -> Check | None:
     text = f"edges of depth lie {-shift.x}, {-shift.y} px (right, down) of those of colour"
     moving = f"moving depth by {shift.x}, {shift.y} px lays its edges on those of colour"
     cause = f"depth is not registered to colour: {moving}" if verdict != "good" else ""
-    remedy = "register depth to colour when recording (RealSense: align to color)" if verdict != "good" else ""
+    remedy = "" if verdict == "good" else REGISTER
     return Check("edges", (look.camera.name,), pixels, "px", allowed, verdict, text, cause, remedy)

@@ -50,17 +50,17 @@ class CamerasFile(BaseModel):
 
     version: int = LAYOUT_VERSION
     cameras: dict[str, CameraEntry] = Field(min_length=1)
-    calibration_sequence: str | None = None
-    """The sequence that shows the board, left out of runs."""
+    calibration_sequence: str | list[str] | None = None
+    """The sequences that show the board, left out of runs."""
+    T_world_robot: list[list[float]] | None = None
 
 
 def cameras_file(sequence: Path) -> Path:
     """The cameras.json of a sequence: its own, or else its recording's. Raises `DataError` where there is neither."""
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
     if path is None:
-        raise DataError(
-            "cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`"
-        )
+        hint = "write it by hand or with `piegraph calibrate`"
+        raise DataError("cameras.json is missing", str(sequence.parent), hint)
     return path
 
 
@@ -76,11 +76,8 @@ def read_cameras_file(path: Path) -> CamerasFile:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"cannot be read: {error}", str(path)) from None
     if entries.version != LAYOUT_VERSION:
-        raise DataError(
-            f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}",
-            str(path),
-            "update piegraph",
-        )
+        message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
+        raise DataError(message, str(path), "update piegraph")
     return entries
 
 
@@ -90,12 +87,24 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
     Without `posed` a missing `T_world_camera` is the identity. Raises `DataError` naming file, camera and field.
     """
     path = cameras_file(sequence)
-    entries = read_cameras_file(path).cameras
+    file = read_cameras_file(path)
+    if file.T_world_robot is not None:
+        read_robot(path)
+    entries = file.cameras
     unposed = [name for name, entry in entries.items() if entry.T_world_camera is None]
     if posed and unposed:
         raise DataError("T_world_camera is missing", f"{path}, camera {unposed[0]}", "run `piegraph calibrate`")
     longest = max(5, *(len(entry.distortion) for entry in entries.values()))
     return [_camera(name, entry, longest, path) for name, entry in sorted(entries.items())]
+
+
+def read_robot(path: Path) -> np.ndarray:
+    """`T_world_robot` [4, 4] of a cameras.json. Raises `DataError` where it has none, or that is no rigid transform."""
+    T = read_cameras_file(path).T_world_robot
+    hint = "run `piegraph calibrate --robot POSES` or `--touched POINTS` (docs/own-recording.md)"
+    if T is None:
+        raise DataError("T_world_robot is missing: where the robot stands is not known", str(path), hint)
+    return _transform(T, "T_world_robot", str(path), hint)
 
 
 def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Camera:
@@ -208,7 +217,12 @@ def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"])
     folder = sequence / camera.name / kind
     if not folder.is_dir():
         raise DataError("folder is missing", str(folder), "see docs/formats.md for the layout")
-    return by_number([p for p in entries_of(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
+    files = [p for p in entries_of(folder) if p.is_file()]
+    found = by_number([p for p in files if p.suffix.lower() in SUFFIXES[kind]])
+    if files and not found:
+        hint = "write 16-bit PNG, whole millimetres" if kind == "depth" else "write .jpg or .png"
+        raise DataError(f"holds {min(files).name}, and no {' or '.join(SUFFIXES[kind])} files", str(folder), hint)
+    return found
 
 
 def read_color(path: Path, camera: Camera) -> bytes:
@@ -244,6 +258,17 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
             "align depth to colour when recording, or give depth_width, depth_height, depth_K and T_color_depth",
         )
     return image
+
+
+def read_mask(path: Path, camera: Camera) -> np.ndarray:
+    """A mask, bool [H, W] of the colour image's size: what is not black."""
+    import cv2
+
+    _, image = _decoded(path, cv2.IMREAD_GRAYSCALE, camera.name)
+    if image.shape != (camera.height, camera.width):
+        size = f"{image.shape[1]} x {image.shape[0]}, colour {camera.width} x {camera.height}"
+        raise DataError(f"mask of camera {camera.name}, frame {path.stem} is {size}", str(path), "remove the masks")
+    return image > 0
 
 
 def image_size(path: Path, camera: str) -> tuple[int, int]:

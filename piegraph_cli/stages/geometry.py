@@ -1,15 +1,18 @@
 """The checks of geometry in `ingest`: which frames they look at, what is refused, and how they are kept and told."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.checks import Check, Finding, grouped
 from piegraph_cli.recording.geometry import View, check_geometry
+from piegraph_cli.recording.ground import level
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -18,7 +21,7 @@ EMPTY_FRAMES = 5
 
 
 def check_frames(
-    arrays: dict[str, np.ndarray], params: IngestParams, folder: Path
+    arrays: dict[str, np.ndarray], params: ReadParams, folder: Path
 ) -> tuple[dict[str, np.ndarray], str, list[str]]:
     """The checks of a sequence's frames: as datasets, in a word or two, and as warnings.
 
@@ -28,10 +31,10 @@ def check_frames(
     color, depth = color_of(frames), depth_of(frames)
     chosen = _chosen(depth)
     views = [
-        View(camera, [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
+        View(_upright(camera, params.table), [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
         for c, camera in enumerate(cameras_of(frames))
     ]
-    checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table)
+    checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table[0])
     bad = [f for f in grouped([c for c in checks if c.verdict == "bad"]) if f.name not in params.accept]
     if bad:
         raise _refused(bad, folder)
@@ -39,6 +42,15 @@ def check_frames(
     warnings = [f"geometry: {f.text}" + (f"\n  try: {f.remedy}" if f.remedy else "") for f in found]
     word = "; ".join(f"{f.checks[0].verdict}: {f.name} of {', '.join(f.cameras)}" for f in found) or "good"
     return _datasets(checks), word, warnings
+
+
+def _upright(camera: Camera, table: Sequence[float]) -> Camera:
+    """The camera in its own world, but for the tilt of the table: causes such as inverted poses are tried on what was given."""
+    if not any(table[1:]):
+        return camera
+    T = level(table)
+    T[2, 3] += table[0]
+    return replace(camera, T_world_camera=T @ camera.T_world_camera)
 
 
 def _chosen(depth: ImageStack) -> list[int]:

@@ -45,7 +45,8 @@ def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, se
         raise DataError(f"{label} is what {trained_label(label)} has learned", str(run), f"save {trained_label(label)}")
     if artifact is None:
         raise DataError(f"{label} is not trained: there is nothing to save", str(run), "another label")
-    settings = plan.model_dump(mode="json", exclude={*PlanParams.query, "model", "daxbench_python", "daxbench_repo"})
+    here = {"model", "daxbench_python", "daxbench_repo", "table", "frame", "cameras"}
+    settings = plan.model_dump(mode="json", exclude={*PlanParams.query, *here})
     write_artifact(
         Path(path),
         "model",

@@ -11,6 +11,8 @@ from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
 
     from piegraph_cli.planning.episode import Episode
@@ -34,6 +36,17 @@ def _inputs(run: "Run", unit: Unit) -> Inputs:
     return {"model": model} if model else {}
 
 
+def _settings(run: "Run", unit: Unit) -> PlanParams:
+    """A robot's clouds lie in the world of the cameras: the table is where it is in the run's recording."""
+    params: PlanParams = run.params(STAGE.name)
+    if params.state is None or params.table is not None:
+        return params
+    return params.model_copy(update={"table": run.params("ingest").table})
+
+
+HIGH = 0.05
+"""Metres above the table at which nothing lies on it."""
+
 STAGE = Stage(
     "plan",
     "plan strokes to a goal",
@@ -45,6 +58,7 @@ STAGE = Stage(
     unit="run",
     on_demand=True,
     units=_units,
+    settings=_settings,
     inputs=_inputs,
     call=Call(
         first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
@@ -64,12 +78,13 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     from piegraph_cli.stages.learning import read_model
     from piegraph_cli.stages.steps import open_environment
 
-    _check_question(params)
+    _check_question(context.run, params)
     set_up_torch()
-    trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
+    trained = read_model(inputs["model"]) if "model" in inputs else None
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
-        episodes = [_plan_once(model, params)]
+        episode, warnings = _plan_once(model, params)
+        episodes = [episode]
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
@@ -83,26 +98,47 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     return Output(arrays, _quality(arrays, params), warnings)
 
 
-def _check_question(params: PlanParams) -> None:
+def _check_question(run: "Run", params: PlanParams) -> None:
     if (params.env is None) == (params.state is None):
         raise UsageError("give either --env or --state", "piegraph plan", "as in piegraph plan --run RUN --env tblock")
     if params.state is not None and params.goal is None and params.goal_pose is None:
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
+    if params.env is not None and (params.frame != "world" or params.table is not None):
+        raise UsageError("--frame and --table are for --state: --env has a world of its own", "piegraph plan")
+    told_in(run, params)
 
 
-def _plan_once(model: "Model", params: PlanParams) -> "Episode":
-    from piegraph_cli.stages.points import read_points
-
+def _plan_once(model: "Model", params: PlanParams) -> tuple["Episode", list[str]]:
     assert params.state is not None
-    goal = read_points(*params.goal_file()) if params.goal is not None else None
-    state = read_points(params.state, None)
+    goal = _cloud(*params.goal_file(), params) if params.goal is not None else None
+    state = _cloud(params.state, None, params)
     try:
-        return model.plan(state, goal=goal, goal_pose=params.goal_pose)
+        return model.plan(state, goal=goal, goal_pose=params.goal_pose), _above_table(state, params)
     except DataError as error:
         asked = f"{params.state}, {'--goal ' + params.goal if params.goal else '--goal-pose'}"
         raise DataError(error.message, asked, error.hint) from None
+
+
+def _cloud(file: "Path", frame: int | None, params: PlanParams) -> "np.ndarray":
+    """Points of a file, with the table at z = 0: artifacts have it there, other files lie in the cameras' world."""
+    from piegraph_cli.recording.ground import level, moved
+    from piegraph_cli.stages.points import read_points
+
+    points = read_points(file, frame)
+    return points if file.suffix.lower() == ".h5" else moved(points, level(params.table or (0, 0, 0)))
+
+
+def _above_table(state: "np.ndarray", params: PlanParams) -> list[str]:
+    """A word on an object that cannot lie on the table."""
+    low, high = float(state[:, 2].min()), float(state[:, 2].max())
+    if high > 0 and low < HIGH:
+        return []
+    where = f"{1000 * low:.0f} mm above" if low >= HIGH else f"{-1000 * high:.0f} mm and more below"
+    return [
+        f"the object of {params.state} lies {where} the table\n  try: --table HEIGHT, where the table is not at z = 0"
+    ]
 
 
 def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
@@ -149,24 +185,78 @@ def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
 
 
 def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
-    """A run's plan as one object and as lines for people; strokes are in the world frame, metres."""
+    """A run's plan as one object and as lines for people; strokes are in the frame that was asked for, metres."""
     import numpy as np
 
     plan = run.read(STAGE.writes)
+    params = _settings(run, None)
+    T = told_in(run, params)
     rows, lines = [], [plan.quality]
-    for k, (start, end) in enumerate(plan["stroke"].tolist()):
+    for k, ends in enumerate(plan["stroke"]):
         episode = int(plan["episode"][k])
-        row = {"episode": episode, "mode": mode_word(int(plan["mode"][k])), "start": start, "end": end}
+        row: dict[str, Any] = {"episode": episode, "mode": mode_word(int(plan["mode"][k]))}
+        row |= stroke_in(T, ends)
         row |= {"predicted_distance": float(plan["cost"][k])}
         if np.isfinite(plan["distance"][k]):
             row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}
         rows.append(row)
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
+        start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(
-            f"episode {episode}: {row['mode']} from ({start[0]:+.3f}, {start[1]:+.3f}) to ({end[0]:+.3f}, {end[1]:+.3f}) m, "
+            f"episode {episode}: {row['mode']} from ({start}) to ({end}) m, "
             f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{reached}"
         )
+    if params.frame == "robot":
+        lines.append(f"in the robot's frame, by T_world_robot of {_cameras_file(run, params)}")
     ends = plan["end_distance"].tolist()
-    value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": "world", "units": "m"}
+    value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": params.frame, "units": "m"}
     value |= {"metric": plan.texts("metric")[0], "start_distance": plan["start_distance"].tolist()}
     return value if np.isnan(ends).all() else value | {"end_distance": ends}, lines
+
+
+def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
+    """`T_frame_table` [4, 4] of the frame that strokes are told in; None where that is the run's world.
+
+    Raises `UsageError` or `DataError` where the robot's is asked for and not known.
+    """
+    import numpy as np
+
+    from piegraph_cli.recording.ground import level
+    from piegraph_cli.recording.layout import read_robot
+
+    T = np.linalg.inv(level(params.table or (0, 0, 0)))
+    if params.frame == "robot":
+        return np.linalg.inv(read_robot(_cameras_file(run, params))) @ T
+    return T if any(params.table or ()) else None
+
+
+def _cameras_file(run: "Run", params: PlanParams) -> "Path":
+    if params.cameras is not None:
+        return params.cameras
+    recordings: tuple[Path, ...] = run.params("ingest").recording
+    if len(recordings) != 1:
+        what = f"has {len(recordings)} recordings" if recordings else "has no recording"
+        raise UsageError(f"where the robot stands is not known: this run {what}", str(run.folder), "give --cameras FILE")
+    return recordings[0] / "cameras.json"
+
+
+def stroke_in(T: "np.ndarray | None", ends: "np.ndarray") -> dict[str, Any]:
+    """A stroke's ends [2, 2] (m) as they are told: on the table (two numbers), or by T [4, 4] in another frame.
+
+    There they have three numbers each, and `quaternion_xyzw` turns that frame's axes to x along the stroke and z up from
+    the table; `yaw` (rad) is the stroke's heading about that frame's z.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    if T is None:
+        return {"start": ends[0].tolist(), "end": ends[1].tolist()}
+    start, end = (T[:3, :3] @ [*xy, 0] + T[:3, 3] for xy in ends.astype(float))
+    up, along = T[:3, 2], (end - start) / np.linalg.norm(end - start)
+    turn = Rotation.from_matrix(np.column_stack([along, np.cross(up, along), up]))
+    return {
+        "start": start.tolist(),
+        "end": end.tolist(),
+        "yaw": float(np.arctan2(along[1], along[0])),
+        "quaternion_xyzw": turn.as_quat(canonical=True).tolist(),
+    }

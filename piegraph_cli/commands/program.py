@@ -24,6 +24,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {
         "list": tools.list_names,
+        "unpack": tools.unpack,
         "calibrate": calibrate,
         "doctor": tools.doctor,
         "bench": tools.bench,

@@ -28,6 +28,25 @@ def list_names(
     emit(Report(found, lines[1:] if kind is None else lines), as_json)
 
 
+def unpack(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="folder of ROS bags")],
+    out: Annotated[Path, typer.Option(help="folder to write sequences and cameras.json to")],
+    as_json: AsJson = False,
+) -> None:
+    """Write the sequences of ROS bags as image files, for `calibrate`."""
+    from tqdm import tqdm
+
+    from piegraph_cli.recording.folders import list_sequences
+    from piegraph_cli.recording.unpack import unpack as write_sequence
+
+    written, lines = [], []
+    for bag in tqdm(list_sequences(recording, "ros"), desc="unpack", leave=False, disable=None):
+        name, count, notes = write_sequence(bag, out)
+        written.append({"sequence": name, "images": count, "warnings": notes})
+        lines += [f"{name}  {count} images of each camera", *(f"  {note}" for note in notes)]
+    emit(Report({"out": str(out), "sequences": written}, lines), as_json)
+
+
 def doctor(
     fetch: Annotated[str | None, typer.Option(help="fetch a weight file by name")] = None, as_json: AsJson = False
 ) -> None:

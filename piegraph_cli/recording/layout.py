@@ -306,7 +306,7 @@ def _check_image(image: np.ndarray | None, path: Path, camera: str) -> np.ndarra
 
 def cameras_text(cameras: list[Camera]) -> str:
     """The text of a cameras.json."""
-    entries = {c.name: CameraEntry.model_validate(_entry(c)) for c in cameras}
+    entries = {c.name: CameraEntry.model_validate(entry_of(c)) for c in cameras}
     return cameras_file_text(CamerasFile(cameras=entries))
 
 
@@ -315,7 +315,8 @@ def cameras_file_text(file: CamerasFile) -> str:
     return json.dumps(file.model_dump(exclude_none=True), indent=1) + "\n"
 
 
-def _entry(camera: Camera) -> dict[str, Any]:
+def entry_of(camera: Camera) -> dict[str, Any]:
+    """The fields of a camera in cameras.json."""
     entry = {name: getattr(camera, name) for name in ("width", "height", "depth_scale")}
     entry |= {name: getattr(camera, name).tolist() for name in ("K", "distortion", "T_world_camera")}
     if camera.depth_view:

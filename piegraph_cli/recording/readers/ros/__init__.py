@@ -63,8 +63,8 @@ class BagImages:
             raise DataError(message, where, hint)
 
 
-def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
-    """The films of a sequence, one a camera, and warnings."""
+def read(folder: Path, params: ReadParams, posed: bool = True) -> tuple[list[Film], list[str]]:
+    """The films of a sequence, one a camera, and warnings. Without `posed` a pose that nothing tells is NaN."""
     surveys = [survey(bag) for bag in bags_of(folder)]
     if not surveys:
         raise DataError("no bag in this folder", str(folder), "put .bag, .db3 or .mcap files there")
@@ -76,7 +76,7 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
         notes += alone
         for pair in _named(pairs, found, surveys):
             if given is None or pair.name in given:
-                camera = camera_of(pair, found, transforms, given[pair.name] if given else None, params)
+                camera = camera_of(pair, found, transforms, given[pair.name] if given else None, params, posed)
                 film, told = _film(camera, pair)
                 films.append(film)
                 notes += told

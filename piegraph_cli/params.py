@@ -52,6 +52,16 @@ def _check_slopes(table: tuple[float, float, float]) -> tuple[float, float, floa
     return table
 
 
+def split_pairs(value: object) -> object:
+    """`young=3e4,goal=crumpled` on the command line means a table of settings."""
+    if not isinstance(value, str):
+        return value
+    pairs = [part.partition("=") for part in value.split(",") if part.strip()]
+    if any(not equals for _, equals, _ in pairs):
+        raise ValueError("give NAME=VALUE,NAME=VALUE")
+    return {name.strip(): text.strip() for name, _, text in pairs}
+
+
 Mode = Literal["push", "pick"]
 """What a stroke does, as people write it; arrays hold its number."""
 PUSH, PICK = 0, 1

@@ -24,6 +24,7 @@ def mine(sample_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder whose runs/mine is the demo's run."""
     folder = tmp_path_factory.mktemp("face")
     shutil.copytree(sample_run, folder / "runs" / "mine")
+    (folder / "sample_data").symlink_to(REPOSITORY / "sample_data")
     return folder
 
 

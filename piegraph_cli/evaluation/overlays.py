@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from piegraph_cli.perception.look import Look
 from piegraph_cli.recording.camera import Camera
 
 MASK_COLOR = (255, 0, 200)
 HAND_COLOR = (255, 210, 0)
 TIP_COLOR = (255, 40, 40)
+PARTICLE_COLOR = (255, 255, 0)
 BONES = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (5, 9), (9, 10), (10, 11), (11, 12), (9, 13)]
 BONES += [(13, 14), (14, 15), (15, 16), (13, 17), (17, 18), (18, 19), (19, 20), (0, 17)]
 
@@ -21,6 +23,23 @@ def draw_mask(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     tinted[mask] = (0.65 * tinted[mask] + 0.35 * np.array(MASK_COLOR)).astype(np.uint8)
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return np.ascontiguousarray(cv2.drawContours(tinted, outlines, -1, MASK_COLOR, 1))
+
+
+def draw_things(image: np.ndarray, masks: Sequence[np.ndarray]) -> np.ndarray:
+    """An RGB image with things outlined and numbered from 1; the first, which is taken, is tinted."""
+    import cv2
+
+    drawn = draw_mask(image, masks[0])
+    for number, mask in enumerate(masks, 1):
+        if not mask.any():
+            continue
+        if number > 1:
+            outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            drawn = np.ascontiguousarray(cv2.drawContours(drawn, outlines, -1, HAND_COLOR, 1))
+        row, column = np.argwhere(mask).mean(axis=0).round().astype(int)
+        for color, width in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+            cv2.putText(drawn, str(number), (int(column), int(row)), cv2.FONT_HERSHEY_SIMPLEX, 0.7, color, width)
+    return drawn
 
 
 def draw_hand(image: np.ndarray, landmarks: np.ndarray, detected: bool) -> np.ndarray:
@@ -68,3 +87,15 @@ def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
             top, left = r * (height + gap), c * (width + gap)
             sheet[top : top + image.shape[0], left : left + image.shape[1]] = image
     return sheet
+
+
+def look_sheet(color: Sequence[np.ndarray], cameras: Sequence[Camera], seen: Look) -> np.ndarray:
+    """The images of one look, two in a row: the object's mask and particles, numbers on it and on other things."""
+    yellow = np.tile(np.array(PARTICLE_COLOR, np.uint8), (len(seen.chosen), 1))
+    images = []
+    for c, (image, camera) in enumerate(zip(color, cameras, strict=True)):
+        things = [seen.masks[c], *(masks[c] for masks in seen.others)]
+        drawn = draw_things(image, things) if seen.others else draw_mask(image, things[0])
+        drawn = draw_particles(drawn, seen.chosen, camera, yellow)
+        images.append(label(drawn, f"{camera.name}: {seen.verdict}"))
+    return tile([images[k : k + 2] for k in range(0, len(images), 2)])

@@ -1,10 +1,12 @@
 """Point clouds: back-projection of depth, fusion of the cameras, and when the hand touches the object."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 
+from piegraph_cli.errors import UsageError
+from piegraph_cli.perception.windows import WHOLE, Window, window_around
 from piegraph_cli.recording.camera import Camera
 
 NEIGHBOURS, DEVIATIONS = 16, 2.0
@@ -17,22 +19,38 @@ SPIKE = 3
 """Clearances that one frame alone may lie high without being a lift."""
 
 
-def world_map(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """World points [H, W, 3] float32 (m) of a depth image [H, W] in the camera's units; NaN where it reads 0."""
+def world_map(depth: np.ndarray, camera: Camera, window: Window = WHOLE) -> np.ndarray:
+    """World points [H, W, 3] float32 (m) of a depth image [H, W] in the camera's units; NaN where it reads 0.
+
+    `window` says which part of the camera's image `depth` is.
+    """
     metres = np.where(depth > 0, depth * np.float32(camera.depth_scale), np.float32(np.nan)).astype(np.float32)
-    numbers = (np.asarray(a, np.float64).tobytes() for a in (camera.K, camera.distortion, camera.T_world_camera))
-    rays = _world_rays(camera.width, camera.height, *numbers)
-    return rays * metres[..., None] + camera.T_world_camera[:3, 3].astype(np.float32)
+    points = world_rays(camera)[(slice(None), *window)] * metres
+    points += camera.T_world_camera[:3, 3].astype(np.float32)[:, None, None]
+    return np.moveaxis(points, 0, -1)
 
 
-@lru_cache(maxsize=16)
-def _world_rays(width: int, height: int, K: bytes, distortion: bytes, T_world_camera: bytes) -> np.ndarray:
-    """Viewing rays [H, W, 3] in world directions, of length one along the optical axis."""
-    intrinsics, pose = np.frombuffer(K).reshape(3, 3), np.frombuffer(T_world_camera).reshape(4, 4)
-    camera = Camera("", width, height, intrinsics, np.frombuffer(distortion), pose)
-    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+def kept_per_camera(make: Callable[[Camera], np.ndarray]) -> Callable[[Camera], np.ndarray]:
+    """A function of a camera that is worked out once for each of the last cameras asked for."""
+
+    @lru_cache(maxsize=16)
+    def kept(width: int, height: int, *numbers: bytes) -> np.ndarray:
+        K, distortion, pose = (np.frombuffer(number) for number in numbers)
+        return make(Camera("", width, height, K.reshape(3, 3), distortion, pose.reshape(4, 4)))
+
+    def of_camera(camera: Camera) -> np.ndarray:
+        numbers = (camera.K, camera.distortion, camera.T_world_camera)
+        return kept(camera.width, camera.height, *(np.asarray(a, np.float64).tobytes() for a in numbers))
+
+    return of_camera
+
+
+@kept_per_camera
+def world_rays(camera: Camera) -> np.ndarray:
+    """Viewing rays [3, H, W] float32 of all pixels in world directions, of length one along the optical axis."""
+    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     rays = camera.rays(pixels) @ camera.T_world_camera[:3, :3].T
-    return rays.reshape(height, width, 3).astype(np.float32)
+    return np.ascontiguousarray(rays.reshape(camera.height, camera.width, 3).transpose(2, 0, 1), np.float32)
 
 
 def flying_pixels(depth: np.ndarray, camera: Camera, edge: float) -> np.ndarray:
@@ -51,8 +69,10 @@ def back_project(mask: np.ndarray, depth: np.ndarray, camera: Camera, edge: floa
 
     Pixels beside a depth step larger than `edge` (m) are left out: they may hang between two surfaces.
     """
+    window = window_around(mask, 1)
+    mask, depth = mask[window], depth[window]
     keep = mask & (depth > 0) & ~flying_pixels(depth, camera, edge)
-    return world_map(depth, camera)[keep]
+    return world_map(depth, camera, window)[keep]
 
 
 def fuse(
@@ -66,19 +86,35 @@ def fuse(
 
     Cropped to `workspace` [3, 2] (m), thinned to a voxel grid of `voxel_size` (m), outliers removed. May be empty.
     """
-    import open3d as o3d
-
     parts = [back_project(m, d, camera) for m, d, camera in zip(masks, depths, cameras, strict=True)]
-    points = np.concatenate(parts)
+    points = np.concatenate(parts).astype(np.float64)
     low, high = np.asarray(workspace, float).T
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     if len(points) == 0:
         return np.zeros((0, 3), np.float32)
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
-    cloud = cloud.voxel_down_sample(voxel_size)
-    if len(cloud.points) > NEIGHBOURS:
-        cloud, _ = cloud.remove_statistical_outlier(NEIGHBOURS, DEVIATIONS)
-    return np.asarray(cloud.points, dtype=np.float32)
+    return without_outliers(voxel_means(points, voxel_size)).astype(np.float32)
+
+
+def voxel_means(points: np.ndarray, size: float) -> np.ndarray:
+    """The mean [V, 3] of the points [P, 3] (m; P > 0) in each cell of a grid of `size` (m), cells in order."""
+    cells = np.floor((points - points.min(axis=0)) / size + 0.5).astype(np.int64)
+    x, y, z = (int(count) for count in cells.max(axis=0) + 1)
+    if x * y * z >= 2**63:
+        raise UsageError(f"voxels of {size:g} m are too small for this cloud", "fuse.voxel_size", "0.004 is usual")
+    _, voxel, count = np.unique(
+        (cells[:, 0] * y + cells[:, 1]) * z + cells[:, 2], return_inverse=True, return_counts=True
+    )
+    return np.stack([np.bincount(voxel, along) for along in points.T], axis=1) / count[:, None]
+
+
+def without_outliers(points: np.ndarray) -> np.ndarray:
+    """The points [P, 3] (m) whose mean distance to their neighbours is usual."""
+    from scipy.spatial import cKDTree
+
+    if len(points) <= NEIGHBOURS:
+        return points
+    distance = cKDTree(points).query(points, NEIGHBOURS)[0].mean(axis=1)
+    return points[distance < distance.mean() + DEVIATIONS * distance.std(ddof=1)]
 
 
 def contact(

@@ -8,6 +8,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,16 @@ from piegraph_cli.errors import MissingError
 from piegraph_cli.process import quiet_native
 from piegraph_cli.recording.camera import Camera
 
+if TYPE_CHECKING:
+    import mediapipe as mp
+    from mediapipe.tasks.python.vision import HandLandmarkerResult
+
 LANDMARKS = 21
 PUSHING_TIPS = (8, 12)
 PALM = (0, 5, 9, 13, 17)
 
 ATTEMPTS = 2
-"""A hand that moved too far to be tracked is lost in that attempt and searched for anew only in the next."""
+"""A hand that moved too far to be tracked is lost in the first attempt and searched for anew only in the next."""
 CONFIDENCE = 0.3
 """What MediaPipe must be sure of; low, since the cameras check each other."""
 FLESH = np.full(LANDMARKS, 0.009)
@@ -65,29 +70,49 @@ def detect_hands(
     no lasting order. A score is 0 where no hand is seen. Raises MissingError where the model file is missing or unreadable.
     Source: paper, section III-D (MediaPipe Hands).
     """
-    import mediapipe as mp
-
     landmarks = np.full((len(times), hands, LANDMARKS, 2), np.nan)
     score = np.zeros((len(times), hands))
-    stamp = -1
-    with _hand_landmarker(model_path, hands) as landmarker:
+    stamp, seen = -1, False
+    with _hand_landmarker(model_path, hands, "VIDEO") as landmarker:
         for f, image in enumerate(images):
-            height, width = image.shape[:2]
-            frame = mp.Image(image_format=mp.ImageFormat.SRGB, data=np.ascontiguousarray(image))
-            for _ in range(ATTEMPTS):
+            for _ in range(ATTEMPTS if seen else 1):
                 stamp = max(stamp + 1, round((times[f] - times[0]) * 1000))
                 with quiet_native() if f == 0 else nullcontext():
-                    result = landmarker.detect_for_video(frame, stamp)
+                    result = landmarker.detect_for_video(_frame(image), stamp)
                 if result.hand_landmarks:
                     break
-            for n, points in enumerate(result.hand_landmarks):
-                landmarks[f, n] = [(p.x * width - 0.5, p.y * height - 0.5) for p in points]
-                score[f, n] = result.handedness[n][0].score
+            seen = bool(result.hand_landmarks)
+            _keep(result, image, landmarks[f], score[f])
     return landmarks, score
 
 
+def find_hands(images: Iterable[np.ndarray], model_path: Path, hands: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `detect_hands`, of images [H, W, 3] that have nothing to do with each other."""
+    landmarks, score = [], []
+    with _hand_landmarker(model_path, hands, "IMAGE") as landmarker, quiet_native():
+        for image in images:
+            landmarks.append(np.full((hands, LANDMARKS, 2), np.nan))
+            score.append(np.zeros(hands))
+            _keep(landmarker.detect(_frame(image)), image, landmarks[-1], score[-1])
+    return np.array(landmarks), np.array(score)
+
+
+def _frame(image: np.ndarray) -> "mp.Image":
+    import mediapipe as mp
+
+    return mp.Image(image_format=mp.ImageFormat.SRGB, data=np.ascontiguousarray(image))
+
+
+def _keep(result: "HandLandmarkerResult", image: np.ndarray, landmarks: np.ndarray, score: np.ndarray) -> None:
+    """Write what was detected in an image into `landmarks` [N, 21, 2] and `score` [N]."""
+    height, width = image.shape[:2]
+    for n, points in enumerate(result.hand_landmarks):
+        landmarks[n] = [(p.x * width - 0.5, p.y * height - 0.5) for p in points]
+        score[n] = result.handedness[n][0].score
+
+
 @contextmanager
-def _hand_landmarker(model_path: Path, hands: int) -> Iterator:
+def _hand_landmarker(model_path: Path, hands: int, mode: str) -> Iterator:
     from mediapipe.tasks.python import BaseOptions, vision
 
     hint = "run `piegraph doctor --fetch hand-landmarker`"
@@ -95,7 +120,7 @@ def _hand_landmarker(model_path: Path, hands: int) -> Iterator:
         raise MissingError("the hand landmark model is missing", str(model_path), hint)
     options = vision.HandLandmarkerOptions(
         base_options=BaseOptions(model_asset_buffer=model_path.read_bytes()),
-        running_mode=vision.RunningMode.VIDEO,
+        running_mode=vision.RunningMode[mode],
         num_hands=hands,
         min_hand_detection_confidence=CONFIDENCE,
         min_hand_presence_confidence=CONFIDENCE,
@@ -165,12 +190,11 @@ def _patch_depth(pixels: np.ndarray, depth: np.ndarray, radius: int = 2) -> np.n
     rows = np.round(pixels[:, 1]).astype(int)[:, None, None] + step[None, :, None]
     columns, rows = np.broadcast_arrays(columns, rows)
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    patch = np.where(inside, depth[rows.clip(0, height - 1), columns.clip(0, width - 1)], 0).astype(float)
-    patch = patch.reshape(len(pixels), -1)
-    median = np.full(len(pixels), np.nan)
-    some = (patch > 0).sum(axis=1) >= 3
-    median[some] = np.nanmedian(np.where(patch[some] > 0, patch[some], np.nan), axis=1)
-    return median
+    patch = np.where(inside, depth[rows.clip(0, height - 1), columns.clip(0, width - 1)], 0).reshape(len(pixels), -1)
+    patch, count = np.sort(patch.astype(float), axis=1), (patch > 0).sum(axis=1)
+    first, each = patch.shape[1] - count, np.arange(len(patch))  # the zeros come first
+    middle = patch[each, first + (count - 1) // 2], patch[each, np.minimum(first + count // 2, patch.shape[1] - 1)]
+    return np.where(count >= 3, (middle[0] + middle[1]) / 2, np.nan)
 
 
 def merge_rays(origins: np.ndarray, rays: np.ndarray, points: np.ndarray, iterations: int = 8) -> np.ndarray:

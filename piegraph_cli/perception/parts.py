@@ -1,7 +1,7 @@
 """What stands out from the table in one frame: the evidence of each camera, and the separate parts they agree on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,12 @@ from piegraph_cli.recording.camera import Camera
 
 CELL = 0.005
 """Cell size (m) of the table grid on which the cameras vote."""
+FEWEST_SHARED = 4
+"""Cells that two views must both see of a thing."""
+LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + 12)
+"""Of the values of a channel, the dark ones brought together."""
+PATTERN = 3
+"""Sides of the workspace from which what stands out is no thing but the table's pattern."""
 AT_EDGE = 0.1
 """What the area of a part counts that reaches in from the workspace's edge."""
 
@@ -21,6 +27,8 @@ class View:
     """One camera's evidence in one frame: masks [H, W] of object candidates and of the hand, world points [H, W, 3]."""
 
     candidates: np.ndarray
+    tall: np.ndarray
+    """[H, W] bool, those of the candidates that stand above the table."""
     hand: np.ndarray
     points: np.ndarray
 
@@ -43,6 +51,11 @@ class Part:
     """[2] the grid's corner (m)."""
     pieces: tuple["Part", ...] = ()
     """What it falls into where narrower gaps count."""
+
+    @property
+    def at_edge(self) -> bool:
+        """Whether it reaches the workspace's edge."""
+        return _sides(self.away == 0) > 0
 
     @property
     def centre(self) -> np.ndarray:
@@ -72,33 +85,70 @@ def view_of(
     tall = points[..., 2] > params.min_height
     table = within & ~hand & ~tall
     stands_out = tall | (_contrast(image, table) > params.min_contrast)
-    return View(_opened(stands_out & within & ~hand), hand & inside(points, _unbounded_above(workspace)), points)
+    shown = _opened(stands_out & within & ~hand)
+    return View(shown, shown & tall, hand & inside(points, _unbounded_above(workspace)), points)
 
 
 def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams) -> list[Part]:
-    """The parts of at least `params.min_area` that the views agree on, the one of the highest score first."""
-    from scipy.ndimage import binary_closing, distance_transform_edt, label
+    """The parts of at least `params.min_area` that the views agree on, the one of the highest score first.
+
+    Where what stands out reaches most sides of the workspace, that is the table's pattern: height alone tells then.
+    """
+    from scipy.ndimage import distance_transform_edt, label
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
-    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
-    inner = np.zeros(shape, bool)
-    inner[2:-3, 2:-3] = True
+    votes = np.sum([cells(v.points[v.candidates], low, shape) for v in views], axis=0) >= min(2, len(views))
+    if len(views) == 2:
+        votes = _with_sides(votes, views, low)
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
 
     def part(grid: np.ndarray, pieces: tuple[Part, ...] = ()) -> Part:
         away = distance_transform_edt(~grid) * CELL
         area = float(grid.sum() * CELL**2)
-        score = area * AT_EDGE if (grid & ~inner).any() else area
+        score = area * AT_EDGE if _sides(grid) else area
         clearance = float(away[hand].min()) if hand.any() else np.inf
         return Part(masks_near(views, away, low), away, area, score, clearance, low, pieces)
 
-    narrow, _ = label(binary_closing(votes, np.ones((3, 3))), np.ones((3, 3)))
+    grids = _large(label(_closed(votes, 5), np.ones((3, 3)))[0], params.min_area)
+    if any(_sides(grid) >= PATTERN for grid in grids) and any((v.candidates & ~v.tall).any() for v in views):
+        standing = parts_of([replace(v, candidates=v.tall) for v in views], workspace, params)
+        if standing:
+            return standing
+    narrow, _ = label(_closed(votes, 3), np.ones((3, 3)))
     found = []
-    for grid in _large(label(binary_closing(votes, np.ones((5, 5))), np.ones((3, 3)))[0], params.min_area):
+    for grid in grids:
         pieces = _large(np.where(grid, narrow, 0), params.min_area)
         found.append(part(grid, tuple(part(piece) for piece in pieces) if len(pieces) > 1 else ()))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _with_sides(votes: np.ndarray, views: Sequence[View], low: np.ndarray) -> np.ndarray:
+    """The cells [X, Y] bool that both views vote for, and those connected to them of what stands there for one of them.
+
+    Two views on opposite sides of a thing share but its top, and of a rope hardly that.
+    """
+    from scipy.ndimage import binary_closing, label
+
+    loose = votes.copy()
+    for view in views:
+        loose |= cells(view.points[view.tall], low, votes.shape)
+    regions, _ = label(binary_closing(loose, np.ones((3, 3))), np.ones((3, 3)))
+    both = np.bincount(regions[votes], minlength=regions.max() + 1) >= FEWEST_SHARED
+    both[0] = False
+    return loose & both[regions]
+
+
+def _closed(grid: np.ndarray, cells: int) -> np.ndarray:
+    """A grid [X, Y] without gaps of fewer cells; up to its rim, which scipy takes for empty outside."""
+    from scipy.ndimage import binary_closing
+
+    return binary_closing(np.pad(grid, cells), np.ones((cells, cells)))[cells:-cells, cells:-cells]
+
+
+def _sides(grid: np.ndarray) -> int:
+    """How many sides of the workspace a region [X, Y] reaches."""
+    return sum(bool(side.any()) for side in (grid[:2], grid[-3:], grid[:, :2], grid[:, -3:]))
 
 
 def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:
@@ -109,7 +159,10 @@ def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:
 
 def masks_near(views: Sequence[View], away: np.ndarray, low: np.ndarray) -> list[np.ndarray]:
     """Each view's candidates [H, W] within two cells of where `away` [X, Y] (m) is zero."""
-    return [v.candidates & _at(away <= 2 * CELL, v.points, low) for v in views]
+    masks = [v.candidates.copy() for v in views]
+    for mask, v in zip(masks, views, strict=True):
+        mask[mask] = _at(away <= 2 * CELL, v.points[mask], low)
+    return masks
 
 
 def boxed(part: Part, cameras: Sequence[Camera]) -> str:
@@ -135,7 +188,7 @@ def _grid_places(points: np.ndarray, low: np.ndarray, shape: tuple[int, ...]) ->
 
 
 def _at(grid: np.ndarray, points: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """The grid's value under each of the points [H, W, 3]; False outside the grid."""
+    """The grid's value [P] under each of the points [P, 3]; False outside the grid."""
     ij, valid = _grid_places(points, low, grid.shape)
     values = np.zeros(valid.shape, bool)
     values[valid] = grid[ij[valid][:, 0], ij[valid][:, 1]]
@@ -163,7 +216,7 @@ def hue_and_light(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The smoothed image's colour ratios [H, W, 2] and brightness [H, W], logarithms."""
     import cv2
 
-    red, green, blue = np.moveaxis(np.log(cv2.GaussianBlur(image, (5, 5), 0).astype(np.float32) + 12), -1, 0)
+    red, green, blue = (cv2.LUT(channel, LOGARITHMS) for channel in cv2.split(cv2.GaussianBlur(image, (5, 5), 0)))
     return np.stack([red - green, blue - green], axis=-1), green
 
 

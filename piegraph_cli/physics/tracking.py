@@ -16,10 +16,11 @@ from torch import Tensor
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.association import SoftAssignment, align, misfit, thin
 from piegraph_cli.physics.params import GuidanceParams, TrackParams
+from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.simulation import check_stability
 from piegraph_cli.physics.spring_kernel import drive, guide
-from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
+from piegraph_cli.physics.springs import SpringGraph, build_springs, stability_bound
 
 FEWEST_POINTS = 20  # a cloud of fewer says too little about a pose: the frame counts as unseen
 GRASP_RADIUS = 0.02  # metres from the hand to the particles it holds
@@ -27,8 +28,6 @@ GRASP_GAIN = 3.0  # gain of a held particle, times that of a seen one
 LEAST_RADIUS = 0.03  # metres, of the springs
 SETTLED = 1e-4  # metres; assignment goes on to the next scale once no particle moves further in a round
 RIGID_ENOUGH = 1.05  # times the misfit of the deformed shape up to which the undeformed one is taken
-CROWD = 8  # neighbours by which a point counts as part of the object
-STRAY = 2.5  # times the usual distance to them, beyond which it does not
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,22 +52,6 @@ def spring_radius(positions: np.ndarray) -> float:
         return LEAST_RADIUS
     spacing = cKDTree(positions).query(positions, k=2)[0][:, 1]
     return max(LEAST_RADIUS, 2.2 * float(np.median(spacing)))
-
-
-def choose_particles(cloud: np.ndarray, count: int) -> np.ndarray:
-    """The particles [count, 3] (m) that represent a cloud [P, 3]: spread by farthest points from the middle of it.
-
-    Stray points, being the farthest, would all be chosen: those whose neighbours lie far beyond the usual distance are
-    left out. No particle lies below the table. Raises DataError for too few points.
-    """
-    cloud = np.asarray(cloud, np.float64)
-    if len(cloud) < count:
-        raise DataError(f"{len(cloud)} points, but {count} particles are to be chosen among them")
-    reach = cKDTree(cloud).query(cloud, k=min(CROWD, len(cloud)))[0].reshape(len(cloud), -1)[:, -1]
-    kept = cloud[reach <= STRAY * np.median(reach)]
-    kept[:, 2] = kept[:, 2].clip(min=0)
-    middle = ((kept - kept.mean(axis=0)) ** 2).sum(axis=1).argmin()
-    return kept[farthest_point_sample(kept, count, int(middle))]
 
 
 def track(

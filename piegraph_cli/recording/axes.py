@@ -83,4 +83,4 @@ def origin_in_view(camera: Camera) -> bool:
 
 
 def _pixel(xy: np.ndarray) -> tuple[int, int]:
-    return int(round(float(xy[0]))), int(round(float(xy[1])))
+    return round(float(xy[0])), round(float(xy[1]))

@@ -79,10 +79,15 @@ class Finding:
         return self.checks[0].remedy
 
 
+def _place(check: Check) -> int:
+    """Checks of geometry in their order, then all others as they come."""
+    return NAMES.index(check.name) if check.name in NAMES else len(NAMES)
+
+
 def grouped(checks: Sequence[Check]) -> list[Finding]:
     """Checks that are not good, those with the same verdict and cause together, the worst first."""
     groups: dict[tuple[str, str, str], list[Check]] = {}
-    for check in sorted((c for c in checks if c.verdict != "good"), key=lambda c: (c.verdict, NAMES.index(c.name))):
+    for check in sorted((c for c in checks if c.verdict != "good"), key=lambda c: (c.verdict, _place(c))):
         groups.setdefault((check.name, check.verdict, check.cause), []).append(check)
     return [Finding(same) for same in groups.values()]
 

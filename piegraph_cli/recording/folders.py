@@ -46,6 +46,14 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
     )
 
 
+def sequences_in(folder: Path, layout: str = "auto") -> list[str]:
+    """The names of the sequences that a folder holds; none where it is itself a sequence, or something else."""
+    if any(_fits(name, folder) for name in _wanted(layout)):
+        return []
+    folders = sorted(path for path in entries_of(folder) if path.is_dir())
+    return [path.name for path in folders if any(_fits(name, path) for name in _wanted(layout))]
+
+
 def layout_of(sequence: Path, layout: str = "auto") -> str:
     """The layout of a sequence folder: the one given, or the first of `SIGNS` that fits."""
     return next((name for name in _wanted(layout) if _fits(name, sequence)), _wanted(layout)[0])

@@ -1,8 +1,11 @@
 """The table as the ground: the rigid motion that brings it to z = 0, and the plane that several cameras see together."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+
+from piegraph_cli.recording.camera import Camera
 
 
 def level(table: Sequence[float]) -> np.ndarray:
@@ -31,3 +34,17 @@ def moved(points: np.ndarray, T: np.ndarray) -> np.ndarray:
     if (np.eye(4) == T).all():
         return points
     return (points @ T[:3, :3].T + T[:3, 3]).astype(points.dtype)
+
+
+def on_table(camera: Camera, table: Sequence[float]) -> Camera:
+    """The camera in the world whose z = 0 is the table."""
+    return replace(camera, T_world_camera=level(table) @ camera.T_world_camera) if any(table) else camera
+
+
+def upright(camera: Camera, table: Sequence[float]) -> Camera:
+    """The camera in its own world but for the table's tilt: causes such as inverted poses are tried on what was given."""
+    if not any(table[1:]):
+        return camera
+    T = level(table)
+    T[2, 3] += table[0]
+    return replace(camera, T_world_camera=T @ camera.T_world_camera)

@@ -38,9 +38,9 @@ def decode_color(data: np.ndarray) -> np.ndarray:
     """Encoded bytes uint8 [byte] of a checked colour image to RGB uint8 [H, W, 3]."""
     import cv2
 
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
     assert image is not None
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image
 
 
 class ImageStack:
@@ -79,7 +79,13 @@ class ImageStack:
         """RGB uint8 [H, W, 3]."""
         import cv2
 
-        return cv2.cvtColor(self._decode(frame, camera, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+        return self._decode(frame, camera, cv2.IMREAD_COLOR_RGB)
+
+    def grey(self, frame: int, camera: int) -> np.ndarray:
+        """Grey uint8, a quarter as wide and high as the colour image."""
+        import cv2
+
+        return self._decode(frame, camera, cv2.IMREAD_REDUCED_GRAYSCALE_4)
 
     def depth(self, frame: int, camera: int) -> np.ndarray:
         """Depth uint16 [H, W] in the camera's units, 0 for no reading."""

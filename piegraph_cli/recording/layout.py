@@ -41,6 +41,8 @@ class CameraEntry(BaseModel):
     depth_K: list[list[float]] | None = None
     depth_distortion: list[float] | None = None
     T_color_depth: list[list[float]] | None = None
+    serial: str | None = None
+    """Of the device, by which `record` knows it again."""
 
 
 class CamerasFile(BaseModel):
@@ -78,6 +80,8 @@ def read_cameras_file(path: Path) -> CamerasFile:
     if entries.version != LAYOUT_VERSION:
         message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
         raise DataError(message, str(path), "update piegraph")
+    if entries.T_world_robot is not None:
+        _transform(entries.T_world_robot, "T_world_robot", str(path), "remove it, and calibrate the robot again")
     return entries
 
 
@@ -87,24 +91,12 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
     Without `posed` a missing `T_world_camera` is the identity. Raises `DataError` naming file, camera and field.
     """
     path = cameras_file(sequence)
-    file = read_cameras_file(path)
-    if file.T_world_robot is not None:
-        read_robot(path)
-    entries = file.cameras
+    entries = read_cameras_file(path).cameras
     unposed = [name for name, entry in entries.items() if entry.T_world_camera is None]
     if posed and unposed:
         raise DataError("T_world_camera is missing", f"{path}, camera {unposed[0]}", "run `piegraph calibrate`")
     longest = max(5, *(len(entry.distortion) for entry in entries.values()))
     return [_camera(name, entry, longest, path) for name, entry in sorted(entries.items())]
-
-
-def read_robot(path: Path) -> np.ndarray:
-    """`T_world_robot` [4, 4] of a cameras.json. Raises `DataError` where it has none, or that is no rigid transform."""
-    T = read_cameras_file(path).T_world_robot
-    hint = "run `piegraph calibrate --robot POSES` or `--touched POINTS` (docs/own-recording.md)"
-    if T is None:
-        raise DataError("T_world_robot is missing: where the robot stands is not known", str(path), hint)
-    return _transform(T, "T_world_robot", str(path), hint)
 
 
 def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Camera:

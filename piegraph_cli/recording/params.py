@@ -5,9 +5,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_serializer
 
-from piegraph_cli.params import Box, Mode, Params, Table, split_commas
+from piegraph_cli.params import Box, Mode, Params, Table, split_commas, split_pairs
 
-CheckName = Literal["pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines"]
+CheckName = Literal[
+    "pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines", "texture", "clocks"
+]
 """Checks of a recording's geometry (docs/checks.md), in the order in which they are made."""
 
 LAYOUT_HELP: dict[str, str] = {
@@ -30,7 +32,7 @@ def _several(value: object) -> object:
 class ReadParams(Params):
     """What reading one sequence depends on, beside where it is."""
 
-    later = ("tool_point", "tf_world", "tf_end_effector")
+    later = ("offsets", "tool_point", "tf_world", "tf_end_effector")
 
     layout: Literal["auto", "piegraph", "tum", "gbnd", "phystwin", "pgnd", "stills", "ros"] = Field(
         "auto", description="layout of the recording; auto: by what its folders hold"
@@ -38,6 +40,10 @@ class ReadParams(Params):
     fps: float = Field(5.0, gt=0, description="frames a second to resample to [Hz]")
     max_skew: float = Field(
         0.05, gt=0, description="largest difference in time between the cameras' images of a frame [s]"
+    )
+    offsets: Annotated[dict[str, float], BeforeValidator(split_pairs)] = Field(
+        {},
+        description="how late what a camera shows is against its time stamps, taken off them: CAMERA=SECONDS,... [s]",
     )
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),

@@ -39,6 +39,15 @@ class RobotBase:
     notes: list[str]
 
 
+def read_robot(path: Path) -> np.ndarray:
+    """`T_world_robot` [4, 4] of a cameras.json. Raises `DataError` where it has none, or that is no rigid transform."""
+    T = layout.read_cameras_file(path).T_world_robot
+    if T is None:
+        hint = "run `piegraph calibrate` with --touched or --robot (docs/own-recording.md)"
+        raise DataError("T_world_robot is missing: where the robot stands is not known", str(path), hint)
+    return np.array(T)
+
+
 def from_poses(recording: Path, sequences: Sequence[str], board: Board, file: Path) -> RobotBase:
     """The base from a table of gripper poses and the images that show the board on the gripper; kept in cameras.json.
 

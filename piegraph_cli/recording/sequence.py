@@ -1,16 +1,18 @@
 """One recorded sequence, checked, on one clock, as arrays."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.clocks import OFF, TOLD, changes, compare_clocks, explained
 from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
-from piegraph_cli.recording.images import encode_depth, encode_mask, join_images
+from piegraph_cli.recording.images import ImageStack, encode_depth, encode_mask, join_images
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
@@ -30,14 +32,19 @@ def read_sequence(
     """
     layout = layout_of(folder, params.layout)
     films, warnings = read_films(folder, layout, params)
+    films = _on_one_clock(films, params.offsets, folder)
     path = read_path(folder, layout, params)
-    time, source, alone = align_frames(
-        {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
-    )
+    try:
+        time, source, alone = align_frames(
+            {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
+        )
+    except DataError as error:
+        raise _with_clocks(error, films) from None
     if len(time) < 2:
         hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
         raise DataError("one frame: nothing can be seen to move", str(folder), hint)
-    clock = np.mean([film.times[source[:, c]] for c, film in enumerate(films)], axis=0)
+    stamps = np.stack([film.times[source[:, c]] for c, film in enumerate(films)], 1)
+    clock = stamps.mean(1)
     tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
     images, blind = _read_images(films, source, progress)
     _check_byte_order(folder, films, source[0])
@@ -45,12 +52,48 @@ def read_sequence(
     _check_depth(folder, cameras, blind)
     arrays = images | tool | _camera_arrays(cameras)
     arrays["time"] = time
+    arrays["stamp"] = stamps - clock[0]
     arrays["source_frame"] = np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1)
     warnings += alone + gaps
     if blind.any():
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
     return arrays, warnings
+
+
+def _on_one_clock(films: list[Film], offsets: dict[str, float], folder: Path) -> list[Film]:
+    """The films with the offsets (s) of their cameras taken off their time stamps."""
+    names = [film.camera.name for film in films]
+    unknown = sorted(offsets.keys() - set(names))
+    if unknown:
+        raise UsageError(f"ingest.offsets: no camera {unknown[0]}", str(folder), f"cameras are {', '.join(names)}")
+    return [replace(film, times=film.times - offsets.get(film.camera.name, 0.0)) for film in films]
+
+
+def _with_clocks(error: DataError, films: list[Film]) -> DataError:
+    """An error of frames that find no partners, with how late cameras are where their images tell it."""
+    starts = np.array([film.times[0] for film in films])
+    apart = max(starts) > min(film.times[-1] for film in films)
+    starts = starts - starts[0] if apart else np.zeros(len(films))
+    seen = []
+    for film in films:
+        data, offsets = join_images(film.images.color(k) for k in range(len(film.times)))
+        stack = ImageStack(data, offsets, 1, "colour")
+        seen.append(changes(stack.grey(k, 0) for k in range(len(stack))))
+    clocks = compare_clocks(seen, [film.times - start for film, start in zip(films, starts, strict=True)])
+    if clocks is None or clocks.fit.min() < TOLD:
+        return error
+    late = clocks.late + starts
+    found = {f.camera.name: float(s) for f, s in zip(films, late, strict=True) if abs(s) > OFF[1] * clocks.step / 2}
+    if not found:
+        return error
+    causes = [explained(name, s)[0] for name, s in found.items()]
+    given = ",".join(f"{name}={s:.2f}" for name, s in found.items())
+    return DataError(
+        f"{error.message}; what moves in the images says: {'; '.join(causes)}",
+        error.where,
+        f"one clock for all cameras, or ingest.offsets = {given}",
+    )
 
 
 def _camera_arrays(cameras: list[Camera]) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from piegraph_cli.recording.checks import listed
 from piegraph_cli.recording.ground import rest_on
 from piegraph_cli.recording.locate import write_cameras
 from piegraph_cli.recording.planes import TOLERANCE, Plane, Rays, find_planes
-from piegraph_cli.recording.shots import read_shots
+from piegraph_cli.recording.shots import Shots, read_shots
 
 LOOKS = 4
 """Images of each camera."""
@@ -62,16 +62,7 @@ def level_by_table(recording: Path, sequences: Sequence[str]) -> Leveled:
         raise DataError(
             f"{listed(unposed)} have no T_world_camera", str(path), "several cameras need a board to be placed"
         )
-    planes, clouds = [], []
-    for c, camera in enumerate(shots.cameras):
-        points = _points(camera, [shots.depth(c, k) for k in range(len(shots.sequence))])
-        found = find_planes(points)
-        if not found:
-            raise DataError(
-                f"camera {camera.name}: no table is found in depth", where, "is there depth, and a table in view?"
-            )
-        planes.append(found)
-        clouds.append(points)
+    planes, clouds = _planes(shots, where)
     cameras = shots.cameras
     if unposed:
         M, height, tilt, off = np.eye(4), 0.0, 0.0, {cameras[0].name: (0.0, 0.0)}
@@ -81,12 +72,25 @@ def level_by_table(recording: Path, sequences: Sequence[str]) -> Leveled:
         cameras = [replace(camera, T_world_camera=M @ camera.T_world_camera) for camera in cameras]
     noted: dict[str, Any] = {}
     notes = list(shots.notes)
-    if layout.read_cameras_file(path).T_world_robot is not None:
-        noted["T_world_robot"] = None if unposed else (M @ layout.read_robot(path)).tolist()
+    robot = layout.read_cameras_file(path).T_world_robot
+    if robot is not None:
+        noted["T_world_robot"] = None if unposed else (M @ np.array(robot)).tolist()
         notes.append("T_world_robot is taken out" if unposed else "T_world_robot is moved along")
     write_cameras(path, cameras, **noted)
     shown = [Shown(camera, shots.image(c, 0), f"{camera.name}  {shots.name(c, 0)}") for c, camera in enumerate(cameras)]
     return Leveled(cameras, height, tilt, off, not unposed, shown, path, notes)
+
+
+def _planes(shots: Shots, where: str) -> tuple[list[list[Plane]], list[np.ndarray]]:
+    """Of each camera the large planes, and the points [N, 3] (m) in its own frame they were found in."""
+    planes, clouds = [], []
+    for c, camera in enumerate(shots.cameras):
+        clouds.append(_points(camera, [shots.depth(c, k) for k in range(len(shots.sequence))]))
+        planes.append(find_planes(clouds[-1]))
+        if not planes[-1]:
+            hint = "is there depth, and a table in view?"
+            raise DataError(f"camera {camera.name}: no table is found in depth", where, hint)
+    return planes, clouds
 
 
 def _points(camera: Camera, depths: Sequence[np.ndarray | None]) -> np.ndarray:

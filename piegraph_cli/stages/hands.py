@@ -100,12 +100,9 @@ def _second_hand(images: "list[CameraImages]", time: "np.ndarray", model: "Path"
     """Whether two hands are seen in at least two of a few images."""
     import numpy as np
 
-    from piegraph_cli.perception.hands import detect_hands
+    from piegraph_cli.perception.hands import find_hands
     from piegraph_cli.perception.two_hands import look_frames, sees_two
 
     frames = look_frames(len(time))
-    found = 0
-    for one in images:
-        landmarks, score = detect_hands((one[f] for f in frames), time[frames], model, 2)
-        found += int(np.sum(sees_two(landmarks, score)))
-    return found >= 2
+    landmarks, score = find_hands((one[f] for one in images for f in frames), model, 2)
+    return int(np.sum(sees_two(landmarks, score))) >= 2

@@ -114,7 +114,7 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=2,
+    version=3,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
     settings=_settings,

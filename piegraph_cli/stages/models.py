@@ -65,5 +65,7 @@ def _model_of_run(folder: Path, label: str, seed: int | None) -> tuple[Artifact 
     run = open_run(folder)
     seeds = run.params("train").seeds_of(label)
     own = train.trained_name(train.model_name(label, seeds[0] if seed is None else seed))
-    plan = run.params("plan").model_copy(update=dict.fromkeys(PlanParams.query))
+    given: PlanParams = run.params("plan")
+    table = given.table if given.table is not None else run.params("ingest").table
+    plan = given.model_copy(update=dict.fromkeys(PlanParams.query) | {"table": table if any(table) else None})
     return run.read("model", own) if own else None, plan

@@ -44,6 +44,8 @@ def _settings(run: "Run", unit: Unit) -> PlanParams:
     return params.model_copy(update={"table": run.params("ingest").table})
 
 
+SAME = 1e-6
+"""Metres, and parts of a rotation, within which the robot stands where it stood in another recording."""
 HIGH = 0.05
 """Metres above the table at which nothing lies on it."""
 
@@ -81,10 +83,12 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     _check_question(context.run, params)
     set_up_torch()
     trained = read_model(inputs["model"]) if "model" in inputs else None
+    warnings: list[str] = []
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
-        episode, warnings = _plan_once(model, params)
-        episodes = [episode]
+        state, warnings = _state(params, context)
+        warnings += _above_table(state, params)
+        episodes = [_plan_once(model, params, state)]
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
@@ -110,29 +114,54 @@ def _check_question(run: "Run", params: PlanParams) -> None:
     told_in(run, params)
 
 
-def _plan_once(model: "Model", params: PlanParams) -> tuple["Episode", list[str]]:
-    assert params.state is not None
-    goal = _cloud(*params.goal_file(), params) if params.goal is not None else None
-    state = _cloud(params.state, None, params)
+def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str]]:
+    """The cloud [P, 3] (m) of the object now, and what is to be said of it: read, or seen in images."""
+    place, frame = params.state_place()
+    if not place.is_dir():
+        return _cloud(place, frame, params), []
+    from piegraph_cli.perception.look import look
+    from piegraph_cli.stages.look import look_settings, read_scene
+
+    run = context.run.folder
+    of_run = run if (run / "recipe.toml").is_file() else None
+    settings = look_settings(of_run, ingest={"table": params.table or (0, 0, 0)})
+    seen = look(*read_scene(str(params.state)), settings)
     try:
-        return model.plan(state, goal=goal, goal_pose=params.goal_pose), _above_table(state, params)
+        seen.require()
+    except DataError as error:
+        hint = f"piegraph look {params.state} --run {run} --picture now.png shows it; {error.hint}"
+        raise DataError(error.message, str(params.state), hint) from None
+    return seen.cloud, [f"{params.state}: {finding.text}" for finding in seen.findings]
+
+
+def _plan_once(model: "Model", params: PlanParams, state: "np.ndarray") -> "Episode":
+    goal = _cloud(*params.goal_file(), params) if params.goal is not None else None
+    try:
+        return model.plan(state, goal=goal, goal_pose=params.goal_pose)
     except DataError as error:
         asked = f"{params.state}, {'--goal ' + params.goal if params.goal else '--goal-pose'}"
         raise DataError(error.message, asked, error.hint) from None
 
 
 def _cloud(file: "Path", frame: int | None, params: PlanParams) -> "np.ndarray":
-    """Points of a file, with the table at z = 0: artifacts have it there, other files lie in the cameras' world."""
+    """Points [P, 3] (m) of a file in the cameras' world; those of artifacts, which have the table at z = 0, are moved there."""
+    import numpy as np
+
     from piegraph_cli.recording.ground import level, moved
     from piegraph_cli.stages.points import read_points
 
     points = read_points(file, frame)
-    return points if file.suffix.lower() == ".h5" else moved(points, level(params.table or (0, 0, 0)))
+    if file.suffix.lower() != ".h5":
+        return points
+    return moved(points, np.linalg.inv(level(params.table or (0, 0, 0))))
 
 
 def _above_table(state: "np.ndarray", params: PlanParams) -> list[str]:
     """A word on an object that cannot lie on the table."""
-    low, high = float(state[:, 2].min()), float(state[:, 2].max())
+    from piegraph_cli.recording.ground import level, moved
+
+    heights = moved(state, level(params.table or (0, 0, 0)))[:, 2]
+    low, high = float(heights.min()), float(heights.max())
     if high > 0 and low < HIGH:
         return []
     where = f"{1000 * low:.0f} mm above" if low >= HIGH else f"{-1000 * high:.0f} mm and more below"
@@ -222,7 +251,7 @@ def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
     import numpy as np
 
     from piegraph_cli.recording.ground import level
-    from piegraph_cli.recording.layout import read_robot
+    from piegraph_cli.recording.robot_files import read_robot
 
     T = np.linalg.inv(level(params.table or (0, 0, 0)))
     if params.frame == "robot":
@@ -231,13 +260,17 @@ def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
 
 
 def _cameras_file(run: "Run", params: PlanParams) -> "Path":
-    if params.cameras is not None:
-        return params.cameras
-    recordings: tuple[Path, ...] = run.params("ingest").recording
-    if len(recordings) != 1:
-        what = f"has {len(recordings)} recordings" if recordings else "has no recording"
-        raise UsageError(f"where the robot stands is not known: this run {what}", str(run.folder), "give --cameras FILE")
-    return recordings[0] / "cameras.json"
+    """The cameras.json that says where the robot stands. Raises `UsageError` where there is none, or several disagree."""
+    from piegraph_cli.recording.robot_files import read_robot
+
+    files = [params.cameras] if params.cameras else [r / "cameras.json" for r in run.params("ingest").recording]
+    if not files:
+        message = "where the robot stands is not known: this run has no recording"
+        raise UsageError(message, str(run.folder), "give --cameras FILE")
+    odd = [file for file in files[1:] if abs(read_robot(file) - read_robot(files[0])).max() > SAME]
+    if odd:
+        raise UsageError(f"the robot stands elsewhere in {odd[0]}", str(files[0]), "give --cameras FILE")
+    return files[0]
 
 
 def stroke_in(T: "np.ndarray | None", ends: "np.ndarray") -> dict[str, Any]:

@@ -319,7 +319,7 @@ def content_hash(path: Path, setting: str) -> str:
 
 
 def _file_hash(path: Path) -> bytes:
-    """sha256 of a file, which may be larger than the memory; of a cameras.json, of what sequences depend on."""
+    """sha256 of a file, which may be larger than the memory; of a cameras.json without `BESIDE`."""
     digest = hashlib.sha256()
     try:
         if path.name == "cameras.json":
@@ -333,12 +333,11 @@ def _file_hash(path: Path) -> bytes:
 
 
 def _of_cameras(data: bytes) -> bytes:
-    """The bytes of a cameras.json without what no sequence depends on: a robot that is found stales no run."""
+    """A cameras.json as it would be written without `BESIDE`; as it is where it has nothing of these."""
     if not any(f'"{name}"'.encode() in data for name in BESIDE):
         return data
     try:
-        entries = json.loads(data)
-        kept = {name: value for name, value in entries.items() if name not in BESIDE}
+        kept = {name: value for name, value in json.loads(data).items() if name not in BESIDE}
     except (ValueError, AttributeError, RecursionError):
         return data  # reading it says what is wrong
     return (json.dumps(kept, indent=1) + "\n").encode()

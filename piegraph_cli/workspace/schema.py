@@ -70,6 +70,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "T_world_camera": Field("camera,4,4", "m", "float64"),
         "end_effector": Field("frame,xyz", "m", "float64", nan=True, optional=True),
         "opening": _OPENING,
+        "stamp": Field("frame,camera", "s", "float64"),
         "check_name": Field("check", "text", TEXT),
         "check_camera": Field("check", "text", LONG_TEXT),
         "check_figure": Field("check", "see check_unit", "float64", nan=True),
@@ -172,6 +173,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "vertices": Field("frame,vertex,xyz", "m", "float32"),
         "triangles": Field("triangle,3", "vertex", "int64"),
         "stroke": Field("frame", "stroke, -1 none", "int64"),
+        "pose/*": Field("camera,4,4", "m", "float64"),
+        "done/*": Field("frame,camera", "1", "bool"),
         **_HAND_PATH,
     },
 }

@@ -210,7 +210,7 @@ class FakeLandmarker:
 @pytest.fixture
 def landmarker(monkeypatch):
     fake = FakeLandmarker([True, False, True, False, False])
-    monkeypatch.setattr(hands, "_hand_landmarker", lambda path, count: nullcontext(fake))
+    monkeypatch.setattr(hands, "_hand_landmarker", lambda path, count, mode: nullcontext(fake))
     return fake
 
 

@@ -85,7 +85,7 @@ def test_all_hands_of_an_image_are_returned(monkeypatch):
     points = [[SimpleNamespace(x=x, y=0.5)] * 21 for x in (0.25, 0.75)]
     sure = [[SimpleNamespace(score=score)] for score in (0.9, 0.8)]
     fake = SimpleNamespace(detect_for_video=lambda *_: SimpleNamespace(hand_landmarks=points, handedness=sure))
-    monkeypatch.setattr(hands, "_hand_landmarker", lambda path, count: nullcontext(fake))
+    monkeypatch.setattr(hands, "_hand_landmarker", lambda path, count, mode: nullcontext(fake))
     pixels, score = detect_hands([np.zeros((40, 80, 3), np.uint8)], np.zeros(1), Path("model.task"), 2)
     assert pixels[0, :, 0].tolist() == [[19.5, 19.5], [59.5, 19.5]]
     assert score.tolist() == [[0.9, 0.8]]

@@ -79,9 +79,8 @@ def test_cameras_that_are_not_of_one_time_are_refused():
     seen = sightings(held(4), images=1)
     shifted = seen.pixels.copy()
     shifted[3] = np.roll(shifted[3], 1, axis=0)
-    with pytest.raises(DataError, match="camera cam3: its images fit no pose with those of the others|are .* px from"):
-        found = solve(replace(seen, pixels=shifted), BOARD)
-        raise AssertionError([found.error(c) for c in range(4)])
+    with pytest.raises(DataError, match="camera cam3: its images fit no pose with those of the others"):
+        solve(replace(seen, pixels=shifted), BOARD)
 
 
 def test_derivatives_are_those_of_the_residuals():
@@ -103,7 +102,7 @@ def test_lenses_are_found_where_the_board_is_tilted_and_refused_where_it_is_not(
     assert max(found.error(c) for c in range(4)) < 0.3
     assert misses(found).max(0)[0] < 3
     flat = [pose([0, 0, a], [0.1 * a - 0.05, 0, 0]) for a in np.linspace(0, 1, 6)]
-    with pytest.raises(DataError, match="camera cam0: these images leave its focal length open by [0-9]"):
+    with pytest.raises(DataError, match=r"camera cam0: these images leave its focal length open by \d"):
         solve(sightings(flat), BOARD, lenses=True)
     with pytest.raises(DataError, match="camera cam0 sees 2 places of the board, 3 are needed"):
         solve(sightings(held(2)), BOARD, lenses=True)

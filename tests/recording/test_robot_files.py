@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from piegraph_cli.recording.layout import read_robot
+from piegraph_cli.recording.robot_files import read_robot
 from tests.commands.inside import piegraph, piegraph_json
 from tests.recording.board_scene import BLANK, BOARD, RIG, apart, picture, pose, record
 

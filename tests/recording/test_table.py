@@ -9,8 +9,9 @@ import pytest
 from piegraph_cli.environments.rig import camera_rig
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.ground import level
-from piegraph_cli.recording.layout import read_cameras, read_robot
+from piegraph_cli.recording.layout import read_cameras
 from piegraph_cli.recording.planes import Plane
+from piegraph_cli.recording.robot_files import read_robot
 from piegraph_cli.recording.table import pose_over
 from tests.commands.inside import piegraph, piegraph_json
 from tests.recording.board_scene import apart, pose

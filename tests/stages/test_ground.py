@@ -7,9 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from piegraph_cli.environments.rig import camera_rig
+from piegraph_cli.perception.look import LookSettings, look
+from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.recording.ground import level, moved, rest_on
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import IngestParams, ReadParams
 from piegraph_cli.stages import open_run, score
 from piegraph_cli.stages.plan import stroke_in
 from piegraph_cli.workspace.artifact import read_artifact, write_artifact
@@ -102,7 +104,7 @@ def test_truth_is_moved_with_the_recording(tmp_path):
     for name in ("object_mask", "hand_mask"):
         arrays[name], arrays[f"{name}_offsets"] = empty
     path = recording / "take" / "truth.h5"
-    path.parent.mkdir(parents=True)
+    (path.parent / "c" / "color").mkdir(parents=True)
     write_artifact(path, "truth", arrays, stage="", stage_version=1, key="", params={}, inputs={}, quality="")
     run = open_run(tmp_path / "run")
     stage = run.recipe.table["ingest"]
@@ -208,3 +210,19 @@ def test_a_stroke_on_the_table_of_the_world_has_two_numbers():
     upside = stroke_in(pose([np.pi, 0, 0], [0, 0, 1.0]), ends)
     assert upside["yaw"] == pytest.approx(-np.pi / 2)
     assert upside["start"] == pytest.approx([0.1, -0.2, 1.0])
+
+
+def test_a_look_and_a_model_know_the_table_too(views):
+    T = np.linalg.inv(level(TILTED))
+    images = [v.color[0] for v in views], [v.depth[0] for v in views]
+    plain = look(*images, [v.camera for v in views], LookSettings(ReadParams()))
+    there = [v.camera for v in with_poses(views, lambda k, own: T @ own)]
+    found = look(*images, there, LookSettings(ReadParams(table=TILTED)))
+    assert found.verdict == plain.verdict == "good"
+    np.testing.assert_allclose(found.cloud, moved(plain.cloud, T), atol=1e-4)
+    np.testing.assert_allclose(found.particles, moved(plain.particles, T), atol=1e-4)
+    assert look(*images, there, LookSettings(ReadParams())).verdict == "bad"
+    few = PlanParams(samples=8, cem_iterations=1, success=0.001)
+    one = Model("static", None, few).plan(plain.cloud, goal_pose=(0.05, 0, 0))
+    two = Model("static", None, few.model_copy(update={"table": TILTED})).plan(found.cloud, goal_pose=(0.05, 0, 0))
+    np.testing.assert_allclose(two.start, one.start, atol=1e-4)

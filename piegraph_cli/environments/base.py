@@ -143,7 +143,7 @@ class Environment(gymnasium.Env):
         mode = self.modes[0] if mode is None else mode
         for _ in range(_TRIES):
             start, end = self._random_push(rng) if mode == PUSH else self._random_pick(rng)
-            if np.isfinite(start).all() and self._keeps_reach(start, end, mode):
+            if np.isfinite(start).all() and self.keeps_reach(start, end, mode):
                 return {"start": start, "end": end, "mode": mode}
         raise DataError("no random stroke keeps the object in reach", type(self).__name__, "reset the environment")
 
@@ -163,7 +163,7 @@ class Environment(gymnasium.Env):
         heading, length = rng.uniform(-math.pi, math.pi), rng.uniform(*PICK_LENGTHS)
         return start, start + length * np.array([math.cos(heading), math.sin(heading)])
 
-    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+    def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         """Whether the object stays within `reach` of the origin if all of it moved with the stroke."""
         along = end - start
         advance = along * max(0.0, 1 - CLEARANCE / np.linalg.norm(along)) if mode == PUSH else along

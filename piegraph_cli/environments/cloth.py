@@ -99,9 +99,9 @@ class Cloth(MujocoEnvironment):
             self.set_state(before)
         return goal
 
-    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+    def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         if mode == PUSH:
-            return super()._keeps_reach(start, end, mode)
+            return super().keeps_reach(start, end, mode)
         nodes = self.nodes[:, :2]
         dragged = nodes[np.linalg.norm(nodes - start, axis=1) < _DRAGGED]
         return bool((np.abs(dragged + (end - start)) <= REACH).all())

@@ -179,9 +179,9 @@ class DaXBench(Environment):
         self._ready()
         return self._shape[:, :2].astype(np.float64), self._spacing
 
-    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+    def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         if mode == PUSH:
-            return super()._keeps_reach(start, end, mode)
+            return super().keeps_reach(start, end, mode)
         assert self._frame is not None
         return bool((np.abs(end) <= _CENTRE * self._frame.scale - _BOX_MARGIN).all())
 

@@ -14,18 +14,24 @@ _GRAZING = 0.2
 
 
 def sensed_depth(
-    depth: np.ndarray, slope: np.ndarray, focal: float, scale: float, rng: np.random.Generator
+    depth: np.ndarray,
+    slope: np.ndarray,
+    focal: float,
+    scale: float,
+    rng: np.random.Generator,
+    noise: float = 1.0,
 ) -> np.ndarray:
     """The depth image a D455-like camera returns for true depth [H, W] (m; inf or 0 where nothing is).
 
     `slope` [H, W] is the cosine between the viewing ray and the surface normal, `focal` in pixels, `scale` metres per
-    unit. Returns uint16 [H, W], 0 where there is no reading. Noise grows with range squared and is correlated over a
-    few pixels, as block matching makes it; edges get flying pixels, and the background left of an object loses a band.
+    unit, `noise` how many times as strong as a D455's. Returns uint16 [H, W], 0 where there is no reading. Noise grows
+    with range squared and is correlated over a few pixels, as block matching makes it; edges get flying pixels, and the
+    background left of an object loses a band.
     """
     true = np.where((depth > RANGE[0]) & (depth < RANGE[1]), depth, 0.0)
     jump = _edges(true)
     noisy = _fly(true, jump, rng)
-    noisy = noisy + NOISE * noisy**2 * _correlated(true.shape, rng)
+    noisy = noisy + noise * NOISE * noisy**2 * _correlated(true.shape, rng)
     lost = occluded(true, focal) | (slope < _GRAZING * rng.uniform(0.5, 1.0, true.shape))
     lost |= jump & (_correlated(true.shape, rng) > 0.8)
     lost |= _correlated(true.shape, rng) > 3.6
@@ -40,9 +46,9 @@ def occluded(depth: np.ndarray, focal: float) -> np.ndarray:
     return position > nearest + 0.5
 
 
-def sensed_color(color: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Sensor noise on RGB in 0..1 [H, W, 3]: read noise plus shot noise. Returns uint8."""
-    sigma = 0.006 + 0.006 * np.sqrt(color.mean(-1, keepdims=True))
+def sensed_color(color: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> np.ndarray:
+    """Sensor noise on RGB in 0..1 [H, W, 3]: read noise plus shot noise, `noise` times. Returns uint8."""
+    sigma = noise * (0.006 + 0.006 * np.sqrt(color.mean(-1, keepdims=True)))
     return np.clip(np.rint(255 * (color + sigma * rng.standard_normal(color.shape, np.float32))), 0, 255).astype(
         np.uint8
     )

@@ -3,19 +3,14 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
-from piegraph_cli.params import Modes, Params, split_commas
+from piegraph_cli.params import Modes, Params, split_commas, split_pairs
 
 
-def _settings(value: object) -> object:
-    """`young=3e4,goal=crumpled` on the command line means a table of settings."""
-    if not isinstance(value, str):
-        return value
-    pairs = [part.partition("=") for part in value.split(",") if part.strip()]
-    if any(not equals for _, equals, _ in pairs):
-        raise ValueError("give NAME=VALUE,NAME=VALUE")
-    return {name.strip(): text.strip() for name, _, text in pairs}
+def _spaced(value: object) -> object:
+    """`0 0 0.01` inside a table on the command line means a list."""
+    return value.split() if isinstance(value, str) else value
 
 
 EnvironmentName = Literal[
@@ -33,8 +28,9 @@ ENVIRONMENT_HELP: dict[str, str] = {
 }
 """What each environment is, in a line."""
 ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
+Numbers3 = Annotated[tuple[float, float, float], BeforeValidator(_spaced)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]
-EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(_settings)]
+EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(split_pairs)]
 
 
 class TBlockOptions(Params):
@@ -125,7 +121,64 @@ class SequenceParams(EnvironmentParams):
     seed: int = Field(0, ge=0, description="seed; sequence i depends on (seed, i) alone")
 
 
-class SimulateParams(SequenceParams):
+MOST_CAMERAS = 8
+
+
+class TroubleParams(Params):
+    """What goes wrong in a rendered recording, on purpose; truth.h5 says what was done."""
+
+    of: Annotated[tuple[Annotated[int, Field(ge=0, lt=MOST_CAMERAS)], ...], BeforeValidator(_spaced)] = Field(
+        (1,), description="numbers of the cameras that are moved, turned, late or have unregistered depth"
+    )
+    noise: float = Field(1.0, ge=0, le=10, description="noise of the sensors, times a D455's")
+    dropped: float = Field(0.0, ge=0, lt=1, description="share of each camera's frames that are lost, at random")
+    late: float = Field(
+        0.0, ge=-10, le=10, description="how far what the cameras show lies behind their time stamps [s]"
+    )
+    moved: Numbers3 = Field(
+        (0.0, 0.0, 0.0), description="how far cameras.json has them from where they are, along the world's axes [m]"
+    )
+    turned: Numbers3 = Field(
+        (0.0, 0.0, 0.0), description="how cameras.json has them turned, about the world's axes, at their place [deg]"
+    )
+    aside: float = Field(
+        0.0, ge=-0.2, le=0.2, description="depth is seen from so far to the right of colour, and not registered [m]"
+    )
+    hidden: int = Field(0, ge=0, description="frames in which half of the object is under an opaque box")
+    hidden_from: int = Field(-1, ge=-1, description="the first of them; -1: they lie about the middle of the recording")
+    gone_from: int = Field(-1, ge=-1, description="frame from which on the object is out of view; -1: never")
+    beside: Literal["none", "same", "other"] = Field(
+        "none", description="a second thing beside the object that nobody touches, of the same or of another colour"
+    )
+    beside_size: float = Field(0.08, gt=0, le=0.3, description="length of that thing [m]")
+    resting_hand: bool = Field(False, description="a second hand rests on the table")
+    bend: float = Field(
+        0.0, ge=-180, le=180, description="angle through which pushes turn without lifting, to either side [deg]"
+    )
+    corners: int = Field(3, ge=1, le=8, description="in how many corners they turn")
+
+
+class RecordingParams(SequenceParams):
+    """Everything that one rendered sequence depends on, beside its number."""
+
+    later = ("cameras", "trouble")
+
+    cameras: int = Field(4, ge=1, le=MOST_CAMERAS, description="cameras of a rendered recording")
+    trouble: Annotated[TroubleParams, BeforeValidator(split_pairs)] = Field(
+        TroubleParams(), description="what goes wrong in a rendered recording: NAME=VALUE,... (docs/environments.md)"
+    )
+
+    @model_validator(mode="after")
+    def _check_cameras(self) -> "RecordingParams":
+        usual, single = TroubleParams(), ("of", "late", "moved", "turned", "aside")
+        asked = any(getattr(self.trouble, name) != getattr(usual, name) for name in single)
+        unknown = [k for k in self.trouble.of if k >= self.cameras]
+        if unknown and asked:
+            raise ValueError(f"trouble.of: there is no camera {unknown[0]}, {self.cameras} are numbered from 0")
+        return self
+
+
+class SimulateParams(RecordingParams):
     """Settings of `simulate`: true particles of random strokes in a simulated environment."""
 
     sequences: int = Field(20, ge=1, description="sequences to simulate")

@@ -9,9 +9,12 @@ import numpy as np
 from piegraph_cli.environments import noise
 from piegraph_cli.environments.base import FRAME_RATE, TIP_HEIGHT, Environment
 from piegraph_cli.environments.hand import Hand
-from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, hand_colors
-from piegraph_cli.environments.render import HAND, OBJECT, Part, Renderer, Solid
-from piegraph_cli.params import PICK, mode_number
+from piegraph_cli.environments.hand_motion import Grip, choose_grip
+from piegraph_cli.environments.params import TroubleParams
+from piegraph_cli.environments.render import HAND, OBJECT, Solid
+from piegraph_cli.environments.scene import Moment, Scene
+from piegraph_cli.environments.trouble import lost_frames
+from piegraph_cli.params import PICK, PUSH, mode_number
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.images import encode_masks
 
@@ -19,23 +22,10 @@ _LIFT = 0.085
 _TRAVEL = 0.09
 _AWAY = np.array([0.06, -0.38, 0.16])
 _EMPTY = 2
+_PER_FRAME = ("frames", "pusher", "shapes")
+NO_TROUBLE = TroubleParams()
 _OPEN, _ABOVE = 0.5, np.array([0.0, 0.0, 0.012])
 """How far a hand closes that is about to pinch, and how far above it waits, metres."""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """What is true at one frame."""
-
-    time: float
-    """Seconds since the recording began."""
-    shape: np.ndarray
-    """The object's configuration, as the environment's `surface` takes it."""
-    tip: np.ndarray | None
-    """[3] what pushes or what the fingertips hold, metres; None while the hand is out of the scene."""
-    grip: Grip | None
-    stroke: int
-    """The stroke's number, -1 between strokes."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +45,8 @@ class Frame:
     """[21, 3] hand joints in MediaPipe's order, metres, NaN while the hand is out of the scene."""
     stamps: np.ndarray
     """[C] time stamps, seconds."""
+    lost: np.ndarray
+    """[C] bool: frames that the camera did not keep."""
 
 
 def simulate_tracks(env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
@@ -79,22 +71,58 @@ def simulate_tracks(env: Environment, seed: int, strokes: int, modes: tuple[str,
     }
 
 
-def _play(env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = ()) -> Iterator[dict]:
-    """The info of each random stroke, and its `mode`."""
+def _play(
+    env: Environment, seed: int, strokes: int, modes: tuple[str, ...] = (), bends: tuple[float, ...] = ()
+) -> Iterator[dict]:
+    """The info of each random stroke, and its `mode`; pushes turn by `bends` (rad) on their way, without lifting."""
     rng = np.random.default_rng([seed, 3])  # apart from the stream that `reset` draws the pose from
     env.reset(seed=seed)
     for _ in range(strokes):
         mode = mode_number(modes[rng.integers(len(modes))]) if modes else env.modes[0]
-        yield env.step(env.sample_stroke(rng, mode))[4] | {"mode": mode}
+        stroke = env.sample_stroke(rng, mode)
+        if mode == PUSH and bends:
+            yield _bent(env, stroke, bends) | {"mode": mode}
+        else:
+            yield env.step(stroke)[4] | {"mode": mode}
 
 
-def plan_moments(env: Environment, seed: int, strokes: int, hand: Hand, modes: tuple[str, ...] = ()) -> list[Moment]:
+def _bent(env: Environment, stroke: dict, bends: tuple[float, ...]) -> dict:
+    """The info of a push of the stroke's length whose heading turns at corners; it ends where the object would leave."""
+    along = (stroke["end"] - stroke["start"]) / (len(bends) + 1)
+    infos = [env.step(stroke | {"end": stroke["start"] + along})[4]]
+    side = 1.0
+    for k, bend in enumerate(bends):
+        end = infos[-1]["pusher"][-1, :2].astype(float)
+        ways = [(sign, _turn2(along, sign * bend)) for sign in ((1.0, -1.0) if k == 0 else (side,))]
+        kept = [(sign, way) for sign, way in ways if env.keeps_reach(end, end + way, PUSH)]
+        if not kept:
+            break
+        side, along = kept[0]
+        infos.append(env.step({"start": end, "end": end + along, "mode": PUSH})[4])
+    whole = {name: np.concatenate([i[name][k > 0 :] for k, i in enumerate(infos)]) for name in _PER_FRAME}
+    return infos[0] | whole
+
+
+def _turn2(vector: np.ndarray, angle: float) -> np.ndarray:
+    """A vector [2] turned by an angle (rad)."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]]) @ vector
+
+
+def plan_moments(
+    env: Environment,
+    seed: int,
+    strokes: int,
+    hand: Hand,
+    modes: tuple[str, ...] = (),
+    bends: tuple[float, ...] = (),
+) -> list[Moment]:
     """The whole recording frame by frame: no hand, approach, strokes with transits between them, retreat, no hand.
 
-    Before and after a pick the hand is open above the place for one frame.
+    Before and after a pick the hand is open above the place for one frame. Pushes turn by `bends` (rad).
     """
     path: list[tuple] = []
-    for number, stroke in enumerate(_play(env, seed, strokes, modes)):
+    for number, stroke in enumerate(_play(env, seed, strokes, modes, bends)):
         shapes, tips = stroke["shapes"], stroke["pusher"]
         grip = _grip_of(env, stroke, hand)
         acting = [(shape, tip, grip, number) for shape, tip in zip(shapes, tips, strict=True)]
@@ -137,43 +165,39 @@ def _transit(before: tuple, after: tuple) -> list[tuple]:
 
 
 def record(
-    env: Environment, seed: int, strokes: int, cameras: list[Camera], hand: Hand, modes: tuple[str, ...] = ()
+    env: Environment,
+    seed: int,
+    strokes: int,
+    cameras: list[Camera],
+    hand: Hand,
+    modes: tuple[str, ...] = (),
+    trouble: TroubleParams = NO_TROUBLE,
 ) -> Iterator[Frame]:
     """Render random strokes made by a hand, frame by frame, with sensor noise; everything follows from `seed`.
 
     Source: paper, section "Tracking and Data Collection" (RGB-D images of a person's hand at 5 Hz).
     """
-    renderer = Renderer(cameras)
-    skin = hand_colors(hand)
     offsets = np.random.default_rng([seed, 1]).uniform(0, 0.004, len(cameras))
-    for number, moment in enumerate(plan_moments(env, seed, strokes, hand, modes)):
+    bends = (math.radians(trouble.bend) / trouble.corners,) * trouble.corners if trouble.bend else ()
+    scene = Scene(env, plan_moments(env, seed, strokes, hand, modes, bends), cameras, hand, trouble)
+    lost = lost_frames(trouble, seed, len(scene.moments), len(cameras))
+    for number, moment in enumerate(scene.moments):
         rng = np.random.default_rng([seed, 2, number])
-        parts, landmarks = _parts(env, moment, hand, skin)
-        views = renderer.render(parts)
+        views, landmarks = scene.views(number)
         label = np.stack([view.label for view in views])
         yield Frame(
             moment,
-            [noise.sensed_color(view.color, rng) for view in views],
+            [noise.sensed_color(view.color, rng, trouble.noise) for view in views],
             [
-                noise.sensed_depth(view.depth, view.slope, camera.K[0, 0], camera.depth_scale, rng)
-                for view, camera in zip(views, cameras, strict=True)
+                noise.sensed_depth(*seen, camera.K[0, 0], camera.depth_scale, rng, trouble.noise)
+                for seen, camera in zip(scene.depths(number, views), cameras, strict=True)
             ],
             label == OBJECT,
             label == HAND,
             landmarks,
             moment.time + offsets + rng.uniform(0, 0.001, len(cameras)),
+            lost[number],
         )
-
-
-def _parts(env: Environment, moment: Moment, hand: Hand, skin: np.ndarray) -> tuple[list[Part], np.ndarray]:
-    parts = [Part(env.surface(moment.shape), env.triangles, OBJECT, np.array([env.color]))]
-    if moment.tip is None or moment.grip is None:
-        return parts, np.full((21, 3), np.nan)
-    arm = arm_at(hand, moment.grip, moment.tip)
-    parts.append(Part(arm.hand, hand.triangles, HAND, skin, smooth=True))
-    forearm, faces, colors = arm.forearm
-    parts.append(Part(forearm, faces, HAND, colors, smooth=True))
-    return parts, arm.landmarks
 
 
 def truth_arrays(environment: Environment, frames: list[Frame]) -> dict[str, np.ndarray]:

@@ -65,14 +65,14 @@ class Rope(MujocoEnvironment):
     def _outline(self) -> tuple[np.ndarray, float]:
         return self._dense @ self.nodes[:, :2], self.options.radius
 
-    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+    def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         # pushed from its side, a rope turns about a point beyond its middle, and an end moves half as far again as what
         # is pushed; pushed along itself it slides
         nodes, along = self.nodes[:, :2], end - start
         axis = nodes[-1] - nodes[0]
         across = abs(axis[0] * along[1] - axis[1] * along[0]) / max(float(np.linalg.norm(axis)), 1e-9)
         swing = 1 + 0.5 * across / float(np.linalg.norm(along))
-        return super()._keeps_reach(start, start + swing * along, mode)
+        return super().keeps_reach(start, start + swing * along, mode)
 
 
 def _mjcf(options: RopeOptions) -> str:

@@ -86,7 +86,7 @@ class TBlock(Environment):
             start = _first_contact(space, self._pose[:2] + offset * across, along) - CLEARANCE * along
             return start, start + length * along
 
-    def _keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
+    def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         return True  # `_random_push` keeps the centre in its limit, which is stricter
 
     def goal(self, rng: np.random.Generator) -> np.ndarray:

@@ -23,6 +23,23 @@ def draw_mask(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(cv2.drawContours(tinted, outlines, -1, MASK_COLOR, 1))
 
 
+def draw_things(image: np.ndarray, masks: Sequence[np.ndarray]) -> np.ndarray:
+    """An RGB image with things outlined and numbered from 1; the first, which is taken, is tinted."""
+    import cv2
+
+    drawn = draw_mask(image, masks[0])
+    for number, mask in enumerate(masks, 1):
+        if not mask.any():
+            continue
+        if number > 1:
+            outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            drawn = np.ascontiguousarray(cv2.drawContours(drawn, outlines, -1, HAND_COLOR, 1))
+        row, column = np.argwhere(mask).mean(axis=0).round().astype(int)
+        for color, width in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+            cv2.putText(drawn, str(number), (int(column), int(row)), cv2.FONT_HERSHEY_SIMPLEX, 0.7, color, width)
+    return drawn
+
+
 def draw_hand(image: np.ndarray, landmarks: np.ndarray, detected: bool) -> np.ndarray:
     """An RGB image with hand landmarks [21, 2] (px, NaN unknown); thin where only other cameras detected the hand."""
     import cv2

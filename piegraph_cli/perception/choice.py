@@ -35,6 +35,8 @@ class Trait:
     """It left its place, if only in part."""
     thing: bool
     """It lies there for a while: no piece of an arm, no shadow."""
+    stays: bool
+    """It lies in its place in all frames."""
     moved_from: int | None
     """The first later frame seen in which it has left its place, where it lay there till then."""
 
@@ -49,7 +51,7 @@ class Choice:
     rivals: list[Part] = field(default_factory=list)
     """Things that would have done as well."""
     others: list[Part] = field(default_factory=list)
-    """All other things."""
+    """All other things, rivals first."""
     leaving: list[tuple[Part, int]] = field(default_factory=list)
     """Those of them that are moved later, and from which frame on."""
 
@@ -80,9 +82,10 @@ class Chooser:
         ranks = [0 if t.touched and t.moved else 1 if t.touched else 2 if t.moved and t.thing else 3 for t in traits]
         best = min(range(len(parts)), key=lambda n: (ranks[n], -parts[n].score))
         things = [n for n, t in enumerate(traits) if t.thing and n != best]
-        rivals = [parts[n] for n in things if ranks[n] == ranks[best]]
+        rivals = [parts[n] for n in things if ranks[n] == ranks[best] and traits[n].stays <= traits[best].stays]
         leaving = [(parts[n], f) for n in things if (f := traits[n].moved_from) is not None]
-        return Choice(parts[best], ranks[best], rivals, [parts[n] for n in things], leaving)
+        others = [*rivals, *(parts[n] for n in things if not any(parts[n] is rival for rival in rivals))]
+        return Choice(parts[best], ranks[best], rivals, others, leaving)
 
     def _apart(self, frame: int, part: Part) -> Sequence[Part]:
         """The pieces of a part where one is touched and moves while another never does; else the part."""
@@ -101,7 +104,7 @@ class Chooser:
         left = next((g for g, share in looks if g > frame and share > LEFT), None)
         lay = [share < SAME_PLACE for g, share in looks if left is not None and g < left]
         moved_from = left if len(lay) > 1 and all(lay) else None
-        return Trait(self._touched(frame, part), bool((shares > MOVED).any()), thing, moved_from)
+        return Trait(self._touched(frame, part), bool((shares > MOVED).any()), thing, bool(rest == 1), moved_from)
 
     def _touched(self, frame: int, part: Part) -> bool:
         tops = [np.percentile(z, 95) for z in self._heights(frame, part) if len(z)]

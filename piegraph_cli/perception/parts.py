@@ -1,7 +1,7 @@
 """What stands out from the table in one frame: the evidence of each camera, and the separate parts they agree on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ CELL = 0.005
 """Cell size (m) of the table grid on which the cameras vote."""
 LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + 12)
 """Of the values of a channel, the dark ones brought together."""
+PATTERN = 3
+"""Sides of the workspace from which what stands out is no thing but the table's pattern."""
 AT_EDGE = 0.1
 """What the area of a part counts that reaches in from the workspace's edge."""
 
@@ -23,6 +25,8 @@ class View:
     """One camera's evidence in one frame: masks [H, W] of object candidates and of the hand, world points [H, W, 3]."""
 
     candidates: np.ndarray
+    tall: np.ndarray
+    """[H, W] bool, those of the candidates that stand above the table."""
     hand: np.ndarray
     points: np.ndarray
 
@@ -45,6 +49,11 @@ class Part:
     """[2] the grid's corner (m)."""
     pieces: tuple["Part", ...] = ()
     """What it falls into where narrower gaps count."""
+
+    @property
+    def at_edge(self) -> bool:
+        """Whether it reaches the workspace's edge."""
+        return _sides(self.away == 0) > 0
 
     @property
     def centre(self) -> np.ndarray:
@@ -74,33 +83,52 @@ def view_of(
     tall = points[..., 2] > params.min_height
     table = within & ~hand & ~tall
     stands_out = tall | (_contrast(image, table) > params.min_contrast)
-    return View(_opened(stands_out & within & ~hand), hand & inside(points, _unbounded_above(workspace)), points)
+    shown = _opened(stands_out & within & ~hand)
+    return View(shown, shown & tall, hand & inside(points, _unbounded_above(workspace)), points)
 
 
 def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams) -> list[Part]:
-    """The parts of at least `params.min_area` that the views agree on, the one of the highest score first."""
-    from scipy.ndimage import binary_closing, distance_transform_edt, label
+    """The parts of at least `params.min_area` that the views agree on, the one of the highest score first.
+
+    Where what stands out reaches most sides of the workspace, that is the table's pattern: height alone tells then.
+    """
+    from scipy.ndimage import distance_transform_edt, label
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
     votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
-    inner = np.zeros(shape, bool)
-    inner[2:-3, 2:-3] = True
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
 
     def part(grid: np.ndarray, pieces: tuple[Part, ...] = ()) -> Part:
         away = distance_transform_edt(~grid) * CELL
         area = float(grid.sum() * CELL**2)
-        score = area * AT_EDGE if (grid & ~inner).any() else area
+        score = area * AT_EDGE if _sides(grid) else area
         clearance = float(away[hand].min()) if hand.any() else np.inf
         return Part(masks_near(views, away, low), away, area, score, clearance, low, pieces)
 
-    narrow, _ = label(binary_closing(votes, np.ones((3, 3))), np.ones((3, 3)))
+    grids = _large(label(_closed(votes, 5), np.ones((3, 3)))[0], params.min_area)
+    if any(_sides(grid) >= PATTERN for grid in grids) and any((v.candidates & ~v.tall).any() for v in views):
+        standing = parts_of([replace(v, candidates=v.tall) for v in views], workspace, params)
+        if standing:
+            return standing
+    narrow, _ = label(_closed(votes, 3), np.ones((3, 3)))
     found = []
-    for grid in _large(label(binary_closing(votes, np.ones((5, 5))), np.ones((3, 3)))[0], params.min_area):
+    for grid in grids:
         pieces = _large(np.where(grid, narrow, 0), params.min_area)
         found.append(part(grid, tuple(part(piece) for piece in pieces) if len(pieces) > 1 else ()))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _closed(grid: np.ndarray, cells: int) -> np.ndarray:
+    """A grid [X, Y] without gaps of fewer cells; up to its rim, which scipy takes for empty outside."""
+    from scipy.ndimage import binary_closing
+
+    return binary_closing(np.pad(grid, cells), np.ones((cells, cells)))[cells:-cells, cells:-cells]
+
+
+def _sides(grid: np.ndarray) -> int:
+    """How many sides of the workspace a region [X, Y] reaches."""
+    return sum(bool(side.any()) for side in (grid[:2], grid[-3:], grid[:, :2], grid[:, -3:]))
 
 
 def _large(labels: np.ndarray, min_area: float) -> list[np.ndarray]:

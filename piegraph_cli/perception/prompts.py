@@ -1,14 +1,17 @@
 """The object as a user points it out: boxes and points in the first frame, carried to other cameras by their place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.perception.choice import Chooser
+from piegraph_cli.perception.apart import apart_elsewhere
+from piegraph_cli.perception.choice import Choice, Chooser
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.parts import CELL, Part, View, boxed, cells, masks_near, parts_of, view_of
-from piegraph_cli.perception.seeds import ObjectSeed
+from piegraph_cli.perception.reach import as_setting, box_to_hold, told_cut, widened
+from piegraph_cli.perception.seeds import UNCLEAR, ObjectSeed
 from piegraph_cli.recording.camera import Camera
 
 MOST = 0.5
@@ -49,14 +52,45 @@ def prompted_object(
     """The object in the first frame that `params.prompts` and `params.points` mean; arguments as `seeds.find_object`.
 
     Whole parts are taken that lie mostly inside every box, or under a point; else what of the boxes stands out. Cameras
-    without a prompt get what lies at the same place of the table. Raises DataError where a prompt meets nothing.
+    without a prompt get what lies at the same place of the table. Raises DataError where a prompt meets nothing, with
+    the workspace that would hold what it means.
     """
-    views = [
-        view_of(images[c][0], depths[c][0], camera, hand_px[0, c], workspace, params)
-        for c, camera in enumerate(cameras)
-    ]
+
+    def views_in(f: int, box: np.ndarray = workspace) -> list[View]:
+        return [view_of(images[c][f], depths[c][f], k, hand_px[f, c], box, params) for c, k in enumerate(cameras)]
+
+    def parts_in(f: int, box: np.ndarray = workspace) -> list[Part]:
+        return parts_of(views_in(f, box), box, params)
+
+    views = views_in(0)
     parts = parts_of(views, workspace, params)
-    boxes = {c: _inside(params.prompts[k.name], k) for c, k in enumerate(cameras) if k.name in params.prompts}
+    try:
+        meant = _meant(params, parts, views, cameras)
+    except DataError as error:
+        raise _beyond(error, params, views_in(0, widened(workspace)), cameras, workspace) from None
+    boxes = _boxes(params, cameras)
+    chooser = Chooser(images, depths, cameras, tips, params)
+    if len(meant) == 1 and not boxes:
+        found = apart_elsewhere(chooser, 0, Choice(meant[0], UNCLEAR), parts_in)
+        if found is not None:
+            return _clicked(*found, params.points, cameras)
+    whole = [np.logical_or.reduce(seen) for seen in zip(*(part.masks for part in meant), strict=True)]
+    masks = whole or _boxed_masks(views, boxes, workspace)
+    beside = [part for part in parts if not any((a & b).any() for a, b in zip(part.masks, masks, strict=True))]
+    cut = [warning for part in meant for warning in told_cut(part, workspace, partial(parts_in, 0))]
+    return ObjectSeed(0, masks, [part for part in beside if chooser.trait(0, part).thing], warnings=cut)
+
+
+def _boxes(params: SegmentParams, cameras: Sequence[Camera]) -> dict[int, np.ndarray]:
+    """The inside [H, W] of each camera's box."""
+    return {c: _inside(params.prompts[k.name], k) for c, k in enumerate(cameras) if k.name in params.prompts}
+
+
+def _meant(
+    params: SegmentParams, parts: Sequence[Part], views: Sequence[View], cameras: Sequence[Camera]
+) -> list[Part]:
+    """The whole parts that the prompts mean; none where a box cuts something. Raises DataError where one meets nothing."""
+    boxes = _boxes(params, cameras)
     meant = [part for part in parts if boxes and all(_share(part.masks[c], box) >= MOST for c, box in boxes.items())]
     for c, camera in enumerate(cameras):
         if camera.name in params.points:
@@ -64,11 +98,44 @@ def prompted_object(
     for c, box in boxes.items():
         if not (views[c].candidates & box).any():
             raise _missed(f"segment.prompts.{cameras[c].name}", parts, cameras)
-    whole = [np.logical_or.reduce(seen) for seen in zip(*(part.masks for part in meant), strict=True)]
-    masks = whole or _boxed_masks(views, boxes, workspace)
-    chooser = Chooser(images, depths, cameras, tips, params)
-    beside = [part for part in parts if not any((a & b).any() for a, b in zip(part.masks, masks, strict=True))]
-    return ObjectSeed(0, masks, [part for part in beside if chooser.trait(0, part).thing])
+    return meant
+
+
+def _beyond(
+    error: DataError, params: SegmentParams, views: Sequence[View], cameras: Sequence[Camera], workspace: np.ndarray
+) -> DataError:
+    """The error of prompts that mean something in the views of a wider workspace alone; else the error as it was."""
+    parts = parts_of(views, widened(workspace), params)
+    try:
+        meant = _meant(params, parts, views, cameras)
+    except DataError:
+        return error
+    if not meant:
+        return error
+    box = workspace
+    for part in meant:
+        box = box_to_hold(part, box)
+    return DataError(
+        "what the prompt means lies outside the workspace",
+        f"cameras {', '.join(camera.name for camera in cameras)}, frame 0",
+        f"ingest.workspace = {as_setting(box)} would hold it",
+    )
+
+
+def _clicked(
+    frame: int, choice: Choice, points: Mapping[str, Sequence[float]], cameras: Sequence[Camera]
+) -> ObjectSeed:
+    """Which of two things that a click took for one it means: the one that stays, if that lies under it."""
+    things = [choice.part, *choice.others]
+    stays = [
+        part
+        for part in choice.others
+        for c, k in enumerate(cameras)
+        if k.name in points
+        if _holds(part, points[k.name], c)
+    ]
+    meant = stays[0] if stays else choice.part
+    return ObjectSeed(frame, meant.masks, [part for part in things if part is not meant])
 
 
 def _inside(box: Sequence[float], camera: Camera) -> np.ndarray:
@@ -97,8 +164,7 @@ def _boxed_masks(views: Sequence[View], boxes: dict[int, np.ndarray], workspace:
 
 def _under(point: Sequence[float], parts: Sequence[Part], view: View, cameras: Sequence[Camera], c: int) -> Part:
     """The part under a point [2] (px): the one whose mask holds it, else the nearest on the table."""
-    height, width = view.candidates.shape
-    column, row = int(np.clip(round(point[0]), 0, width - 1)), int(np.clip(round(point[1]), 0, height - 1))
+    row, column = _pixel(point, view.candidates.shape)
     for part in parts:
         if part.masks[c][row, column]:
             return part
@@ -107,6 +173,14 @@ def _under(point: Sequence[float], parts: Sequence[Part], view: View, cameras: S
     if near is None or near.distance(place)[0] > NEAR_POINT:
         raise _missed(f"segment.points.{cameras[c].name}", parts, cameras)
     return near
+
+
+def _pixel(point: Sequence[float], shape: tuple[int, ...]) -> tuple[int, int]:
+    return int(np.clip(round(point[1]), 0, shape[0] - 1)), int(np.clip(round(point[0]), 0, shape[1] - 1))
+
+
+def _holds(part: Part, point: Sequence[float], c: int) -> bool:
+    return bool(part.masks[c][_pixel(point, part.masks[c].shape)])
 
 
 def _missed(prompt: str, parts: Sequence[Part], cameras: Sequence[Camera]) -> DataError:

@@ -10,7 +10,7 @@ from piegraph_cli.errors import UsageError
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.sam_models import import_segment_anything
-from piegraph_cli.perception.segmentation import check_seed, learn_object, segment_frame
+from piegraph_cli.perception.segmentation import check_seed, learn_object, lifted_to, segment_frame
 from piegraph_cli.recording.camera import Camera
 
 HAND_POINTS = (0, 5, 9, 17, 8, 12)
@@ -39,6 +39,7 @@ def segment_sequence(
     seed_frame: int,
     seed_mask: np.ndarray,
     params: SegmentParams,
+    tips: np.ndarray | None = None,
     key_every: int = 10,
     prompt: SamPrompt | None = None,
 ) -> np.ndarray:
@@ -50,24 +51,40 @@ def segment_sequence(
     Source: paper, section III-D (SAM).
     """
     predictor = import_segment_anything().SamPredictor(sam)
-    if prompt is None:
-        check_seed(seed_mask, camera, seed_frame)
-        prompt = automatic_prompt(seed_mask)
-    hand = _hand_points(hand_px[seed_frame], images[seed_frame].shape)
-    seed = predict_mask(predictor, images[seed_frame], prompt, hand, seed_mask)
-    seed &= ~hand_region(hand_px[seed_frame], depths[seed_frame], camera, 0.5)
-    check_seed(seed, camera, seed_frame)
-    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed)
+    given = images[seed_frame], depths[seed_frame], camera, hand_px[seed_frame]
+    seed = _seed(predictor, *given, seed_frame, seed_mask, prompt)
+    lifted = lifted_to(tips, len(hand_px))
+    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed, lifted)
     masks = np.zeros((len(hand_px), *seed.shape), bool)
     masks[seed_frame] = seed
     for frames in (range(seed_frame + 1, len(hand_px)), range(seed_frame - 1, -1, -1)):
-        previous = seed
+        previous, missed = seed, 0
         for f in frames:
-            masks[f] = segment_frame(images[f], depths[f], camera, hand_px[f], workspace, previous, model, params)
+            given = images[f], depths[f], camera, hand_px[f], workspace, previous, model, params
+            masks[f] = segment_frame(*given, lifted=lifted[f], missed=missed)
             if (f - seed_frame) % key_every == 0 and masks[f].any():
                 masks[f] = _key_frame(predictor, images[f], depths[f], camera, hand_px[f], masks[f])
-            previous = masks[f] if masks[f].any() else previous
+            previous, missed = (masks[f], 0) if masks[f].any() else (previous, missed + 1)
     return masks
+
+
+def _seed(
+    predictor: Any,
+    image: np.ndarray,
+    depth: np.ndarray,
+    camera: Camera,
+    hand_px: np.ndarray,
+    frame: int,
+    rough: np.ndarray,
+    prompt: SamPrompt | None,
+) -> np.ndarray:
+    if prompt is None:
+        check_seed(rough, camera, frame)
+        prompt = automatic_prompt(rough)
+    mask = predict_mask(predictor, image, prompt, _hand_points(hand_px, image.shape), rough)
+    mask &= ~hand_region(hand_px, depth, camera, 0.5)
+    check_seed(mask, camera, frame)
+    return mask
 
 
 def _key_frame(

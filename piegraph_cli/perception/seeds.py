@@ -1,14 +1,17 @@
 """Finding the object: what stands above the table or differs from it in colour, is no hand, and is handled."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.perception.apart import apart_elsewhere
 from piegraph_cli.perception.choice import CLEAR, Choice, Chooser
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.parts import Part, boxed, parts_of, view_of
+from piegraph_cli.perception.reach import told_cut
 from piegraph_cli.recording.camera import Camera
 
 MAX_TRIED = 24
@@ -25,7 +28,7 @@ class ObjectSeed:
     masks: Sequence[np.ndarray]
     """[H, W] bool of each camera; one that does not see the object there has an empty mask."""
     others: list[Part] = field(default_factory=list)
-    """Other things that lie on the table in that frame."""
+    """Other things that lie on the table in that frame, those first that would have done as well."""
     warnings: list[str] = field(default_factory=list)
     """What a user should know of the choice."""
 
@@ -49,11 +52,27 @@ def find_object(
     """
     frames = np.unique(np.linspace(0, len(hand_px) - 1, min(len(hand_px), MAX_TRIED)).astype(int))
     chooser = Chooser(images, depths, cameras, np.full((len(hand_px), 3), np.nan) if tips is None else tips, params)
+
+    def parts_in(f: int, box: np.ndarray = workspace) -> list[Part]:
+        seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], box, params) for c, k in enumerate(cameras))
+        return parts_of(list(seen), box, params)
+
+    best = _clearest(frames, chooser, parts_in)
+    if best is None:
+        raise _not_found(len(frames), cameras)
+    frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
+    warnings = [*_doubts(frame, choice, cameras), *told_cut(choice.part, workspace, partial(parts_in, frame))]
+    return ObjectSeed(frame, choice.part.masks, choice.others, warnings)
+
+
+def _clearest(
+    frames: Sequence[int], chooser: Chooser, parts_in: Callable[[int], list[Part]]
+) -> tuple[int, Choice] | None:
+    """The choice in the first of the frames in which it is clear of the hand and of rivals, else in the best one."""
     best: tuple[int, Choice] | None = None
     several = False
     for f in frames:
-        seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], workspace, params) for c, k in enumerate(cameras))
-        parts = parts_of(list(seen), workspace, params)
+        parts = parts_in(f)
         if not parts:
             continue
         first_doubt = not several and (len(parts) > 1 or bool(parts[0].pieces))
@@ -65,10 +84,7 @@ def find_object(
             best = int(f), choice
         if best[1].part.clearance >= CLEAR and (best[1].rank < UNCLEAR or not best[1].rivals):
             break
-    if best is None:
-        raise _not_found(len(frames), cameras)
-    frame, choice = best
-    return ObjectSeed(frame, choice.part.masks, choice.others, _doubts(frame, choice, cameras))
+    return best
 
 
 def _not_found(tried: int, cameras: Sequence[Camera]) -> DataError:

@@ -18,6 +18,8 @@ INTRUDER_SAMPLES = 10
 """Frames from which the colours of hand and sleeve are learnt."""
 ALIKE = 3.0
 """Log-likelihood ratio to the table from which a colour counts as the object's own."""
+TABLE_LIKE, HAND_UNLIKE = -1.5, 0.5
+"""Log-likelihood ratios to table and hand from which a colour is the object's where depth says that it is no table."""
 ON_HAND = 1.5
 """Evidence against the object where the hand's landmarks say that the hand is."""
 SURE_OBJECT, SURE_OTHER, EXCLUDED = 4.0, -4.0, -8.0
@@ -30,8 +32,12 @@ BAND = 5
 """Width (px) of the outline within which GrabCut decides."""
 REACH = 0.05
 """Distance (m) from the last mask at which a pixel needs clear evidence to belong to the object."""
-LIFT = 0.06
-"""How much (m) above its first height the object may rise."""
+FLAT = 1.5
+"""Least heights that the object's top must have for its height to tell it."""
+FARTHEST = 0.3
+"""The same after frames without the object: it is looked for a reach farther with each of them, up to this."""
+LIFT, HELD = 0.06, 0.03
+"""How much (m) above its first height the object may rise, and above the end-effector, which may lift it."""
 RIM = 8
 """Pixels around the rough mask that GrabCut looks at."""
 
@@ -59,22 +65,31 @@ def segment_sequence(
     seed_frame: int,
     seed_mask: np.ndarray,
     params: SegmentParams,
+    tips: np.ndarray | None = None,
 ) -> np.ndarray:
     """Masks [F, H, W] bool of the object in one camera, from its seed [H, W] in `seed_frame` (see `seeds.find_object`).
 
     `images` RGB uint8 [H, W, 3] and `depths` [H, W] in the camera's units (0 = no reading) are indexed by frame, in
-    any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m). A frame in which the
-    object is hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
+    any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m); `tips` [F, 3] the
+    end-effector (m; NaN where unknown), as high as which the object may be lifted. A frame in which the object is
+    hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
     """
     check_seed(seed_mask, camera, seed_frame)
-    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed_mask)
+    lifted = lifted_to(tips, len(hand_px))
+    model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed_mask, lifted)
     masks = np.zeros((len(hand_px), *seed_mask.shape), bool)
     for frames in (range(seed_frame, len(hand_px)), range(seed_frame - 1, -1, -1)):
-        previous = seed_mask if frames.step > 0 else masks[seed_frame]
+        previous, missed = seed_mask if frames.step > 0 else masks[seed_frame], 0
         for f in frames:
-            masks[f] = segment_frame(images[f], depths[f], camera, hand_px[f], workspace, previous, model, params)
-            previous = masks[f] if masks[f].any() else previous
+            given = images[f], depths[f], camera, hand_px[f], workspace, previous, model, params
+            masks[f] = segment_frame(*given, lifted=lifted[f], missed=missed)
+            previous, missed = (masks[f], 0) if masks[f].any() else (previous, missed + 1)
     return masks
+
+
+def lifted_to(tips: np.ndarray | None, count: int) -> np.ndarray:
+    """How high (m) [F] an end-effector [F, 3] may have lifted what it holds; 0 where it is unknown."""
+    return np.zeros(count) if tips is None else np.nan_to_num(tips[:, 2] + HELD)
 
 
 def check_seed(seed_mask: np.ndarray, camera: Camera, seed_frame: int) -> None:
@@ -95,8 +110,12 @@ def learn_object(
     workspace: np.ndarray,
     seed_frame: int,
     seed_mask: np.ndarray,
+    lifted: np.ndarray | None = None,
 ) -> ObjectModel:
-    """Learn the colours of object and table from the seed, those of hand and sleeve from frames spread over all."""
+    """Learn the colours of object and table from the seed, those of hand and sleeve from frames spread over all.
+
+    `lifted` [F] (m) as from `lifted_to`.
+    """
     import cv2
 
     depth = depths[seed_frame]
@@ -107,13 +126,14 @@ def learn_object(
     heights = world_map(depth, camera)[..., 2][seed_mask]
     heights = heights[np.isfinite(heights)]
     top = float(np.percentile(heights, 90)) if len(heights) else 0.0
+    ceilings = np.maximum(top + LIFT, np.zeros(len(hand_px)) if lifted is None else lifted)
     colours = colour_model(bins[core if core.any() else seed_mask])
     surroundings = colour_model(bins[around])
     alike = colours - surroundings > ALIKE
     return ObjectModel(
         object=colours,
         surroundings=surroundings,
-        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, top + LIFT, alike)),
+        intruder=colour_model(_intruder_bins(images, depths, camera, hand_px, ceilings, alike)),
         height=top,
     )
 
@@ -123,13 +143,13 @@ def _intruder_bins(
     depths: Sequence[np.ndarray],
     camera: Camera,
     hand_px: np.ndarray,
-    ceiling: float,
+    ceilings: np.ndarray,
     alike: np.ndarray,
 ) -> np.ndarray:
-    """Colour bins [P] of what rises above `ceiling` (m), and of the hand's bones except bins `alike` to the object."""
+    """Colour bins [P] of what rises above `ceilings` [F] (m), and of the hand's bones except bins `alike` to the object."""
     samples = [np.zeros(0, np.int32)]
     for f in np.unique(np.linspace(0, len(hand_px) - 1, INTRUDER_SAMPLES).astype(int)):
-        risen = (world_map(depths[f], camera)[..., 2] > ceiling) & ~flying_pixels(depths[f], camera, EDGE)
+        risen = (world_map(depths[f], camera)[..., 2] > ceilings[f]) & ~flying_pixels(depths[f], camera, EDGE)
         bins = lab_bins(images[f])
         samples.append(bins[risen | (hand_region(hand_px[f], depths[f], camera, 0.5) & ~alike[bins])])
     return np.concatenate(samples)
@@ -144,14 +164,21 @@ def segment_frame(
     previous: np.ndarray,
     model: ObjectModel,
     params: SegmentParams,
+    lifted: float = 0.0,
+    missed: int = 0,
 ) -> np.ndarray:
-    """The mask [H, W] bool of one frame, given the last one in which the object was seen; updates `model.mixtures`."""
+    """The mask [H, W] bool of one frame, given the last one in which the object was seen; updates `model.mixtures`.
+
+    `lifted` (m) as from `lifted_to`; `missed` counts the frames since the object was seen.
+    """
     mask = np.zeros(depth.shape, bool)
-    reach = _pixels(REACH, previous, depth, camera)
+    metres = min(REACH * (1 + missed), FARTHEST)
+    reach = _pixels(metres, previous, depth, camera)
     margin = round(1.2 * reach) + 2 * RIM
     while True:
         window = window_around(previous, margin)
-        score = object_score(image, depth, camera, hand_px, workspace, previous, model, params, window)
+        given = image, depth, camera, hand_px, workspace, previous, model, params
+        score, certain = object_score(*given, lifted, metres, window)
         near = _grown(previous[window], reach)
         parts, boxes = _parts_near(score > 0, near)
         if _lie_within(boxes, window, depth.shape):
@@ -160,7 +187,8 @@ def segment_frame(
     fewest = previous.sum() * 0.02
     rough = _large(parts, boxes, fewest)
     if rough.any():
-        mask[window] = _large(*_parts_near(_grabcut(image[window], rough, score, model), near), fewest)
+        refined = _grabcut(image[window], rough, score, certain & rough, model)
+        mask[window] = _large(*_parts_near(refined, near), fewest)
     return mask
 
 
@@ -183,38 +211,46 @@ def object_score(
     previous: np.ndarray,
     model: ObjectModel,
     params: SegmentParams,
+    lifted: float = 0.0,
+    reach: float = REACH,
     window: Window = WHOLE,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Evidence [H, W] float32 for the object, positive where it prevails: colour, height, hand and the last mask.
 
-    Of the window alone, in whose outermost pixels it is inexact.
+    Also where [H, W] bool it is certain, though the table may have the same colour. Of the window alone, in whose
+    outermost pixels it is inexact.
     """
     import cv2
 
     hand = hand_region(hand_px, depth, camera)[window]
-    pixels = _pixels(REACH, previous, depth, camera)
+    pixels = _pixels(reach, previous, depth, camera)
     image, depth, previous = image[window], depth[window], previous[window]
     bins = lab_bins(image)
-    score = (model.object[bins] - np.maximum(model.surroundings[bins], model.intruder[bins])).clip(-5, 5)
-    score += _height_score(depth, camera, model.height, params, window)
+    height, standing = _height_score(depth, camera, model.height, max(model.height + LIFT, lifted), params, window)
+    to_table, to_hand = model.object[bins] - model.surroundings[bins], model.object[bins] - model.intruder[bins]
+    score = np.where(standing, to_hand, np.minimum(to_table, to_hand)).clip(-5, 5) + height
+    certain = standing & ~hand & (to_table > TABLE_LIKE) & (to_hand > HAND_UNLIKE)
     score[hand] -= ON_HAND
     distance = cv2.distanceTransform((~previous).astype(np.uint8), cv2.DIST_L2, 3)
     score -= np.minimum(distance * (3 / pixels), 6)
     score = cv2.GaussianBlur(score.astype(np.float32), (3, 3), 0)
     score[~inside(locate(depth, camera, window), workspace)] = -10
-    return score
+    return score, certain & (score > 0)
 
 
-def _height_score(depth: np.ndarray, camera: Camera, top: float, params: SegmentParams, window: Window) -> np.ndarray:
-    """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure."""
+def _height_score(
+    depth: np.ndarray, camera: Camera, top: float, ceiling: float, params: SegmentParams, window: Window
+) -> tuple[np.ndarray, np.ndarray]:
+    """Evidence [H, W] from the height above the table, 0 where depth is missing or unsure; where it is no table."""
     z = world_map(depth, camera, window)[..., 2]
     score = np.zeros(depth.shape, np.float32)
     sure = (depth > 0) & ~flying_pixels(depth, camera, EDGE)
-    if top > 2 * params.min_height:
-        score[sure & (z > params.min_height) & (z < top + params.min_height)] = 2
+    standing = sure & (z > params.min_height) & (top > FLAT * params.min_height)
+    score[standing & (z < top + params.min_height)] = 2
+    if top > FLAT * params.min_height:
         score[sure & (z < params.min_height / 2)] = -3
-    score[sure & (z > top + LIFT)] = -10
-    return score
+    score[sure & (z > ceiling)] = -10
+    return score, standing
 
 
 def _pixels(metres: float, mask: np.ndarray, depth: np.ndarray, camera: Camera) -> float:
@@ -252,9 +288,9 @@ def _large(parts: np.ndarray, boxes: np.ndarray, fewest: float) -> np.ndarray:
 
 
 def _grabcut(
-    image: np.ndarray, rough: np.ndarray, score: np.ndarray, model: ObjectModel, margin: int = RIM
+    image: np.ndarray, rough: np.ndarray, score: np.ndarray, certain: np.ndarray, model: ObjectModel, margin: int = RIM
 ) -> np.ndarray:
-    """Refine a rough mask inside its bounding box; what the score is sure of stays as it is."""
+    """Refine a rough mask inside its bounding box; what is certain, or the score is sure of, stays as it is."""
     import cv2
 
     crop = window_around(rough, margin)
@@ -262,7 +298,7 @@ def _grabcut(
     band = np.ones((BAND, BAND), np.uint8)
     deep = cv2.erode(rough[crop].astype(np.uint8), band) > 0
     away = cv2.dilate(rough[crop].astype(np.uint8), band) == 0
-    labels[deep & (score[crop] > SURE_OBJECT)] = cv2.GC_FGD
+    labels[certain[crop] | (deep & (score[crop] > SURE_OBJECT))] = cv2.GC_FGD
     labels[(away & (score[crop] < SURE_OTHER)) | (score[crop] < EXCLUDED)] = cv2.GC_BGD
     counts = np.bincount(labels.ravel() % 2, minlength=2)  # GrabCut's odd labels are the object
     if counts.min() < FEWEST:

@@ -6,11 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.environments.params import EnvironmentParams, SequenceParams, SimulateParams
+from piegraph_cli.environments.params import EnvironmentParams, RecordingParams, SequenceParams, SimulateParams
+from piegraph_cli.errors import UsageError
 from piegraph_cli.workspace.call import Call, Folder, Given, Instead, Told
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from piegraph_cli.workspace.run import Run
 
 RECORDING_VERSION = 2
@@ -22,11 +25,16 @@ def _units(run: "Run") -> Sequence[Unit]:
 
 
 def _settings(run: "Run", unit: str) -> SequenceParams:
-    return _of_sequence(run.params(STAGE.name))
+    params = run.params(STAGE.name)
+    usual, given = RecordingParams(), params.model_dump()
+    only = [name for name in ("cameras", "trouble") if getattr(params, name) != getattr(usual, name)]
+    if only:
+        raise UsageError(f"simulate.{only[0]}: particles have no cameras", hint="add --render for a recording")
+    return SequenceParams(**{name: given[name] for name in SequenceParams.model_fields})
 
 
-def _of_sequence(params: SimulateParams) -> SequenceParams:
-    return SequenceParams(**params.model_dump(exclude={"sequences"}))
+def _of_recording(params: SimulateParams) -> RecordingParams:
+    return RecordingParams(**params.model_dump(exclude={"sequences"}))
 
 
 def _folder(given: Given) -> Path:
@@ -54,7 +62,7 @@ STAGE = Stage(
         first=("sequences", "strokes", "modes", "options", "particles", "seed"),
         folder=Folder("out", "folder [default: runs/ENVIRONMENT, or recordings/ENVIRONMENT with --render]", _folder),
         counts="strokes",
-        instead=Instead("render", "record it with four RGB-D cameras and a hand", _render),
+        instead=Instead("render", "record it with RGB-D cameras and a hand", _render),
     ),
 )
 
@@ -103,25 +111,20 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
 
     from piegraph_cli.environments.hand import load_hand
     from piegraph_cli.environments.rig import camera_rig
+    from piegraph_cli.environments.trouble import told_cameras
     from piegraph_cli.recording.layout import write_cameras
 
     load_hand()  # fetched once, before several processes would fetch it
-    write_cameras(out, camera_rig())
+    write_cameras(out, told_cameras(camera_rig(count=params.cameras), params.trouble))
     names = [f"sequence_{i:04d}" for i in range(params.sequences)]
     work = joblib.Parallel(n_jobs=min(jobs, len(names)), return_as="generator")(
-        joblib.delayed(_record_sequence)(out / name, _of_sequence(params), i, force) for i, name in enumerate(names)
+        joblib.delayed(_record_sequence)(out / name, _of_recording(params), i, force) for i, name in enumerate(names)
     )
     list(tqdm(work, total=len(names), desc="render", disable=None, leave=False))
     return names
 
 
-def _record_sequence(folder: Path, params: SequenceParams, index: int, force: bool) -> None:
-    import numpy as np
-
-    from piegraph_cli.environments.hand import load_hand
-    from piegraph_cli.environments.recording import record, truth_arrays
-    from piegraph_cli.environments.rig import camera_rig
-    from piegraph_cli.recording.layout import write_frame, write_times
+def _record_sequence(folder: Path, params: RecordingParams, index: int, force: bool) -> None:
     from piegraph_cli.workspace.artifact import read_key, write_artifact
 
     settings = params.content()
@@ -130,20 +133,11 @@ def _record_sequence(folder: Path, params: SequenceParams, index: int, force: bo
         return
     partial = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    cameras, times, truth = camera_rig(), [], []
-    environment = make_environment(params.environment, params.particles, params)
-    seed = sequence_seed(params, index)
-    for number, frame in enumerate(record(environment, seed, params.strokes, cameras, load_hand(), params.modes)):
-        for camera, color, depth in zip(cameras, frame.color, frame.depth, strict=True):
-            write_frame(partial, camera, number, color, depth, JPEG_QUALITY)
-        times.append(frame.stamps)
-        truth.append(replace(frame, color=[], depth=[]))  # written already, and too large to keep
-    for k, camera in enumerate(cameras):
-        write_times(partial, camera, np.array(times)[:, k])
+    arrays = _write_images(partial, params, sequence_seed(params, index))
     write_artifact(
         partial / "truth.h5",
         "truth",
-        truth_arrays(environment, truth),
+        arrays,
         stage="simulate",
         stage_version=RECORDING_VERSION,
         key=key,
@@ -154,3 +148,28 @@ def _record_sequence(folder: Path, params: SequenceParams, index: int, force: bo
     if folder.exists():
         shutil.rmtree(folder)
     partial.rename(folder)
+
+
+def _write_images(folder: Path, params: RecordingParams, seed: int) -> "dict[str, np.ndarray]":
+    """Render a sequence into a folder; returns the datasets of its truth."""
+    import numpy as np
+
+    from piegraph_cli.environments.hand import load_hand
+    from piegraph_cli.environments.recording import record, truth_arrays
+    from piegraph_cli.environments.rig import camera_rig
+    from piegraph_cli.environments.trouble import trouble_arrays
+    from piegraph_cli.recording.layout import write_frame, write_times
+
+    cameras, truth = camera_rig(count=params.cameras), []
+    environment = make_environment(params.environment, params.particles, params)
+    frames = record(environment, seed, params.strokes, cameras, load_hand(), params.modes, params.trouble)
+    for number, frame in enumerate(frames):
+        for camera, color, depth, lost in zip(cameras, frame.color, frame.depth, frame.lost, strict=True):
+            if not lost:
+                write_frame(folder, camera, number, color, depth, JPEG_QUALITY)
+        truth.append(replace(frame, color=[], depth=[]))  # written already, and too large to keep
+    stamps, kept = np.array([f.stamps for f in truth]), ~np.array([f.lost for f in truth])
+    for k, camera in enumerate(cameras):
+        write_times(folder, camera, stamps[kept[:, k], k])
+    done = trouble_arrays(params.trouble, cameras, kept) if params.trouble != RecordingParams().trouble else {}
+    return truth_arrays(environment, truth) | done

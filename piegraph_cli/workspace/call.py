@@ -84,9 +84,10 @@ def _option(info: "FieldInfo") -> Option | None:
     kind: Any = info.annotation
     if type(None) in get_args(kind):
         kind = next(a for a in get_args(kind) if a is not type(None))
-    if (get_origin(kind) is dict and not info.metadata) or (isinstance(kind, type) and issubclass(kind, Params)):
+    table = get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Params))
+    if table and not info.metadata:  # what else a table may be given as, in one word
         return None
     if kind not in (int, float, bool, Path) and get_origin(kind) is not Literal:
         kind = str
     shown = ",".join(map(str, info.default)) if isinstance(info.default, tuple) else str(info.default)
-    return Option(kind, str(info.description), "" if info.default in (None, (), {}) else shown)
+    return Option(kind, str(info.description), "" if table or info.default in (None, (), {}) else shown)

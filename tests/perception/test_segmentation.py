@@ -142,7 +142,7 @@ def test_landmarks_speak_against_the_object(block):
     grey = np.full_like(block.images[0][0], 128)
     wide = np.array([[-9.0, 9], [-9, 9], [-9, 9]])
     without, with_hand = (
-        object_score(grey, blind, CAMERAS[0], pixels, wide, seed, model, PARAMS)
+        object_score(grey, blind, CAMERAS[0], pixels, wide, seed, model, PARAMS)[0]
         for pixels in (np.full((21, 2), np.nan), hand_px[0])
     )
     difference = without - with_hand

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.perception.apart import apart_elsewhere
+from piegraph_cli.perception.choice import Choice
 from piegraph_cli.perception.params import SegmentParams
+from piegraph_cli.perception.parts import Part
 from piegraph_cli.perception.prompts import prompted_object
 from piegraph_cli.perception.seeds import ObjectSeed, find_object
 from piegraph_cli.stages import segment
@@ -97,18 +100,37 @@ def test_a_click_on_two_things_that_touch_means_the_one_under_it(parted):
     )
 
 
-def test_a_rope_whose_end_stays_is_one_thing():
+def test_a_rope_whose_end_stays_is_one_thing_though_the_hand_hides_its_middle():
     still = tuple((0.0, y, 0.008) for y in np.linspace(-0.15, 0.0, 6))
     moments = []
-    for m in some(Trouble(pushed(PUSHED, size=(0.016, 0.1, 0.016))), 0, 5, 8, 9).moments:
+    for m in some(Trouble(pushed(PUSHED, size=(0.016, 0.1, 0.016))), 0, 5, 8).moments:
         x = m.object[0].at[0]
         bent = tuple((x * (y / 0.15) ** 0.5, y, 0.008) for y in np.linspace(0.0, 0.15, 6))
-        moments.append(replace(m, object=(Solid(rope=still + bent[1:], radius=0.008, colour=WHITE),)))
-    rope = record(Trouble(moments), FINER)
-    seed = seed_of(rope, cameras=FINER)
-    truth = rope.object[:, seed.frame]
+        rope = Solid(rope=still + bent[1:], radius=0.008, colour=WHITE)
+        moments.append(replace(m, object=(rope,), tip=(m.tip[0], 0.03, m.tip[2])))
+    recording = record(Trouble(moments), FINER)
+    seed = seed_of(recording, cameras=FINER)
+    truth = recording.object[:, seed.frame]
     assert ((seed.masks & truth).sum(axis=(1, 2)) > 0.9 * truth.sum(axis=(1, 2))).all()
     assert seed.warnings == []
+
+
+@pytest.mark.parametrize(("clearance", "parted"), [(0.2, True), (0.02, False)])
+def test_what_the_hand_may_have_parted_stays_one_thing(clearance, parted):
+    def part(columns, clearance):
+        away = np.full((40, 40), 0.1)
+        away[10:20, columns] = 0
+        return Part([], away, 0.01, 0.01, clearance, np.zeros(2))
+
+    whole, still, moved = part(slice(5, 20), 0.2), part(slice(5, 12), 0.2), part(slice(25, 35), clearance)
+    chooser = SimpleNamespace(
+        tips=np.zeros((5, 3)),
+        change=lambda frame, part, other: 0.0,
+        trait=lambda frame, part: SimpleNamespace(stays=part is still),
+        choose=lambda frame, parts: Choice(moved, 0),
+    )
+    found = apart_elsewhere(chooser, 0, Choice(whole, 0), lambda frame: [still, moved])
+    assert (found is not None and found[1].part is moved) == parted
 
 
 NARROW = np.array([[-0.3, 0.02], [-0.3, 0.3], [-0.02, 0.2]])

@@ -96,7 +96,8 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
-    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
+    seen = np.array([cells(v.points[v.candidates], low, shape) for v in views])
+    votes = seen.sum(axis=0) >= min(2, len(views))
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
 
     def part(grid: np.ndarray, pieces: tuple[Part, ...] = ()) -> Part:

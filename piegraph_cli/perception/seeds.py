@@ -65,9 +65,7 @@ def find_object(
     return ObjectSeed(frame, choice.part.masks, choice.others, warnings)
 
 
-def _clearest(
-    frames: Sequence[int], chooser: Chooser, parts_in: Callable[[int], list[Part]]
-) -> tuple[int, Choice] | None:
+def _clearest(frames: np.ndarray, chooser: Chooser, parts_in: Callable[[int], list[Part]]) -> tuple[int, Choice] | None:
     """The choice in the first of the frames in which it is clear of the hand and of rivals, else in the best one."""
     best: tuple[int, Choice] | None = None
     several = False
@@ -88,7 +86,7 @@ def _clearest(
 
 
 def _not_found(
-    frames: Sequence[int],
+    frames: np.ndarray,
     cameras: Sequence[Camera],
     params: SegmentParams,
     parts_in: Callable[[int, SegmentParams], Sequence[Part]],

@@ -12,7 +12,7 @@ EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise
 
 SAMPLE ?= 150
 
-.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -62,6 +62,10 @@ mutants: setup
 # into runs/quick. Interrupt and repeat at will: what is done is kept
 $(EXPERIMENTS): setup
 	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick)
+
+# recordings that are wrong on purpose, and what ingest says of them: the table of docs/checks.md
+troubles: setup
+	$(BIN)/piegraph reproduce troubles --jobs $(JOBS) $(if $(QUICK),--quick)
 
 reproduce: setup
 	$(BIN)/piegraph reproduce all --jobs $(JOBS) $(if $(QUICK),--quick)

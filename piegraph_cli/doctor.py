@@ -11,6 +11,7 @@ from piegraph_cli.weights import WEIGHTS, cache_folder
 REQUIRED = ("torch", "open3d", "mediapipe", "cv2", "segment_anything", "h5py", "scipy", "matplotlib", "warp")
 OPTIONAL = {
     **dict.fromkeys(("pymunk", "mujoco", "gymnasium", "trimesh", "embreex", "skimage"), "sim"),
+    "rosbags": "ros",
     "viser": "view",
     "ray": "cluster",
 }

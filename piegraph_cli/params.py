@@ -34,6 +34,16 @@ def _check_yaw(pose: tuple[float, float, float]) -> tuple[float, float, float]:
     return pose
 
 
+def split_pairs(value: object) -> object:
+    """`young=3e4,goal=crumpled` on the command line means a table of settings."""
+    if not isinstance(value, str):
+        return value
+    pairs = [part.partition("=") for part in value.split(",") if part.strip()]
+    if any(not equals for _, equals, _ in pairs):
+        raise ValueError("give NAME=VALUE,NAME=VALUE")
+    return {name.strip(): text.strip() for name, _, text in pairs}
+
+
 Mode = Literal["push", "pick"]
 """What a stroke does, as people write it; arrays hold its number."""
 PUSH, PICK = 0, 1
@@ -68,9 +78,13 @@ class Params(BaseModel):
     query: ClassVar[tuple[str, ...]] = ()
     """Settings that belong together: giving one forgets the others."""
 
+    later: ClassVar[tuple[str, ...]] = ()
+    """Settings that came later: at their defaults they are in no key, so that what was made before stays fresh."""
+
     def content(self) -> dict[str, Any]:
         """What results depend on, as plain values: these settings without what only says how results are come by."""
-        return self.model_dump(mode="json")
+        unused = {name for name in self.later if getattr(self, name) == type(self).model_fields[name].default}
+        return self.model_dump(mode="json", exclude=unused)
 
     def files(self) -> dict[str, Path]:
         """Files and folders these settings name; their content, not their path, enters the cache key."""

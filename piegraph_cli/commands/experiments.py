@@ -1,5 +1,6 @@
 """The command that makes the paper's tables and figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,9 +19,9 @@ def reproduce(
     experiment: Annotated[
         str,
         typer.Argument(
-            help=f"{', '.join(names.experiments())}, or all (docs/experiments.md)",
+            help=f"{', '.join(names.all_experiments())}, or all of the paper's (docs/experiments.md)",
             metavar="EXPERIMENT",
-            autocompletion=lambda: [*names.experiments(), "all"],
+            autocompletion=lambda: [*names.all_experiments(), "all"],
         ),
     ],
     runs: Annotated[
@@ -46,14 +47,36 @@ def reproduce(
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
+    if experiment == "troubles":
+        return emit(_troubles(folder / "troubles", quick, set or (), envs, jobs), as_json)
     wanted = [experiment] if experiment != "all" else list(names.experiments())
     of = [env.strip() for env in envs.split(",") if env.strip()]
     chosen = {name: load_experiment(name, quick, set or (), of) for name in wanted}
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
+    emit(_together(reports), as_json)
+
+
+def _together(reports: dict[str, Report]) -> Report:
+    """The reports of experiments, one after the other."""
     lines = [line for report in reports.values() for line in ("", *report.lines)]
     code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
-    emit(Report({name: report.value for name, report in reports.items()}, lines[1:], code), as_json)
+    return Report({name: report.value for name, report in reports.items()}, lines[1:], code)
+
+
+def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jobs: int) -> Report:
+    """Recordings that are wrong on purpose, and what is said of them."""
+    from piegraph_cli.experiments.params import QUICK_TROUBLES, TroublesParams
+    from piegraph_cli.experiments.recipes import with_changes
+    from piegraph_cli.experiments.troubles import run_troubles, write_troubles
+    from piegraph_cli.params import validated
+
+    values = with_changes(dict(QUICK_TROUBLES) if quick else {}, changes)
+    values |= {"environments": envs, "good": envs} if envs else {}
+    params = validated(TroublesParams, values, "troubles", "", "correct the experiment")
+    with logging_to(folder):
+        value, lines = write_troubles(run_troubles(params, folder, jobs), folder)
+    return Report(value, lines)
 
 
 def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Options | None") -> Report:

@@ -5,17 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from piegraph_cli.params import Modes, Params, split_commas
-
-
-def _settings(value: object) -> object:
-    """`young=3e4,goal=crumpled` on the command line means a table of settings."""
-    if not isinstance(value, str):
-        return value
-    pairs = [part.partition("=") for part in value.split(",") if part.strip()]
-    if any(not equals for _, equals, _ in pairs):
-        raise ValueError("give NAME=VALUE,NAME=VALUE")
-    return {name.strip(): text.strip() for name, _, text in pairs}
+from piegraph_cli.params import Modes, Params, split_commas, split_pairs
 
 
 def _spaced(value: object) -> object:
@@ -40,7 +30,7 @@ ENVIRONMENT_HELP: dict[str, str] = {
 ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
 Numbers3 = Annotated[tuple[float, float, float], BeforeValidator(_spaced)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]
-EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(_settings)]
+EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(split_pairs)]
 
 
 class TBlockOptions(Params):
@@ -171,8 +161,10 @@ class TroubleParams(Params):
 class RecordingParams(SequenceParams):
     """Everything that one rendered sequence depends on, beside its number."""
 
+    later = ("cameras", "trouble")
+
     cameras: int = Field(4, ge=1, le=MOST_CAMERAS, description="cameras of a rendered recording")
-    trouble: Annotated[TroubleParams, BeforeValidator(_settings)] = Field(
+    trouble: Annotated[TroubleParams, BeforeValidator(split_pairs)] = Field(
         TroubleParams(), description="what goes wrong in a rendered recording: NAME=VALUE,... (docs/environments.md)"
     )
 
@@ -184,14 +176,6 @@ class RecordingParams(SequenceParams):
         if unknown and asked:
             raise ValueError(f"trouble.of: there is no camera {unknown[0]}, {self.cameras} are numbered from 0")
         return self
-
-    def content(self) -> dict[str, Any]:
-        """As for all settings, without what is left as it is: recordings without trouble stay the same."""
-        usual = RecordingParams()
-        trouble, left = self.trouble.content(), usual.trouble.content()
-        changed = {"cameras": self.cameras, "trouble": {n: v for n, v in trouble.items() if v != left[n]}}
-        content = {name: value for name, value in super().content().items() if name not in changed}
-        return content | {name: value for name, value in changed.items() if value not in (usual.cameras, {})}
 
 
 class SimulateParams(RecordingParams):

@@ -154,13 +154,9 @@ class Renderer:
             there = np.flatnonzero(room.lit[number] & ~near & shadows[quad][number][cells])
             lit[number, there] = _lit(scene, room.points[there], room.normals[there], place)
             darker |= room.lit[number] & ~lit[number]
-        shaded = np.flatnonzero(darker)
-        color[shaded] = (
-            room.albedo[shaded]
-            * (
-                room.ambient[shaded] + room.direct[0, shaded] * lit[0, shaded] + room.direct[1, shaded] * lit[1, shaded]
-            )[:, None]
-        )
+        dark = np.flatnonzero(darker)
+        light = room.ambient[dark] + room.direct[0, dark] * lit[0, dark] + room.direct[1, dark] * lit[1, dark]
+        color[dark] = room.albedo[dark] * light[:, None]
         fresh = np.flatnonzero(near)
         if len(fresh):
             rays = self._quad_rays[k][quad][fresh]

@@ -1,11 +1,12 @@
 """Settings of experiments: which runs, which models, and the table they end in."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from piegraph_cli.dynamics.params import Labels, trained_label
-from piegraph_cli.environments.params import EnvironmentName
+from piegraph_cli.environments.params import EnvironmentName, Environments
 from piegraph_cli.params import Counts, Params, Thresholds
 from piegraph_cli.planning.params import TrialLabels
 
@@ -65,6 +66,24 @@ class ExperimentParams(Params):
         assert self.trials is not None
         counts = self.interactions[environment]  # type: ignore[index]
         return list(dict.fromkeys(_on(model, n) for n in counts for model in self.trials.models))
+
+
+class TroublesParams(Params):
+    """The experiment `troubles`: recordings that are wrong on purpose, and good ones."""
+
+    environments: Environments = Field(
+        ("tblock", "toy", "rope-bendy", "tshirt"), description="objects of the recordings that are wrong"
+    )
+    good: Environments = Field(
+        ("tblock", "toy", "rope-bendy", "tshirt", "rope-stiff", "cloth"), description="objects of the good ones"
+    )
+    noises: tuple[float, ...] = Field((0.3, 1.0, 2.5), description="noise of the good ones, times a D455's")
+    recordings: tuple[Path, ...] = Field((), description="further good recordings")
+    strokes: int = Field(2, ge=1, description="strokes per sequence")
+    seed: int = Field(11, ge=0, description="seed of the simulation")
+
+
+QUICK_TROUBLES: dict[str, Any] = {"environments": ["tblock"], "good": ["tblock"], "noises": [1.0], "strokes": 1}
 
 
 def _on(model: str, count: int) -> str:

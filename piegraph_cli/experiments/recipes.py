@@ -39,18 +39,23 @@ def load_experiment(
         raise UsageError(f"no experiment {name}", hint=f"one of {', '.join(names())}, all")
     values = tomllib.loads(path.read_text())
     smaller = values.pop("quick", {})
-    values = values | smaller if quick else values
-    for text in changes:
-        try:
-            values = _merge(values, tomllib.loads(text))
-        except tomllib.TOMLDecodeError:
-            raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
+    values = with_changes(values | smaller if quick else values, changes)
     has = values["interactions"]
     if environments and isinstance(has, dict):
         values["interactions"] = {env: counts for env, counts in has.items() if env in environments}
         if not values["interactions"]:
             raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=f"of {', '.join(has)}")
     return validated(ExperimentParams, values, name, str(path), "correct the experiment")
+
+
+def with_changes(values: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """Values with those of SETTING=VALUE texts in their place."""
+    for text in changes:
+        try:
+            values = _merge(values, tomllib.loads(text))
+        except tomllib.TOMLDecodeError:
+            raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
+    return values
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,9 @@ from piegraph_cli.recording.camera import Camera
 NEIGHBOURS, DEVIATIONS = 16, 2.0
 """Outlier removal: a point farther from its neighbours than the cloud's mean plus this many deviations is dropped."""
 
+OPENS, OPENS_SHARE = 0.005, 0.1
+"""Change of a gripper's opening (m; or as a share of the largest) below which it neither opens nor closes."""
+
 SPIKE = 3
 """Clearances that one frame alone may lie high without being a lift."""
 
@@ -103,6 +106,37 @@ def contact(
         if run.sum() > 1 and (gap[run & close] <= radius).any():
             handled |= run
     return handled
+
+
+def opens(opening: np.ndarray) -> bool:
+    """Whether a gripper opens or closes at all: `opening` [F] (m, or any unit)."""
+    low, high = opening.min(), opening.max()
+    return bool(high - low >= max(OPENS, OPENS_SHARE * max(abs(low), abs(high))))
+
+
+def while_closed(touching: np.ndarray, opening: np.ndarray, closed: float | None = None) -> np.ndarray:
+    """Frames [F] bool in which a gripper holds: of each time that it is closed, from the first touch to the last.
+
+    `touching` [F] bool as `contact` finds it, `opening` [F] (m, NaN unknown: as at the frame before). `closed`: at and
+    below this opening it is closed, by default halfway between the least and the largest; one that hardly opens is
+    always closed, and then a touch is a touch.
+    """
+    from scipy.ndimage import label
+
+    known = np.flatnonzero(np.isfinite(opening))
+    if len(known) == 0:
+        return touching
+    filled = opening[known[(np.searchsorted(known, np.arange(len(opening)), "right") - 1).clip(0)]]
+    low, high = filled.min(), filled.max()
+    if closed is None and not opens(filled):
+        return touching
+    runs, count = label(filled <= ((low + high) / 2 if closed is None else closed))
+    holds = np.zeros_like(touching)
+    for n in range(1, count + 1):
+        touched = np.flatnonzero(touching & (runs == n))
+        if len(touched):
+            holds[touched[0] : touched[-1] + 1] = True
+    return holds
 
 
 def _without_spikes(values: np.ndarray) -> np.ndarray:

@@ -11,6 +11,11 @@ from piegraph_cli.params import Params
 class HandsParams(Params):
     """Settings of `hands`."""
 
+    later = ("source",)
+
+    source: Literal["auto", "hand", "file"] = Field(
+        "auto", description="where the end-effector is from; auto: from the recording where it has one, else the hand"
+    )
     hand_model: Path | None = Field(None, description="hand_landmarker.task file (default: the fetched one)")
     max_gap: float = Field(0.5, ge=0, description="longest gap in the hand's path that is filled [s]")
 
@@ -38,5 +43,10 @@ class SegmentParams(Params):
 class FuseParams(Params):
     """Settings of `fuse`."""
 
+    later = ("closed",)
+
     voxel_size: float = Field(0.004, gt=0, description="edge of the voxel grid the cloud is thinned on [m]")
     contact_radius: float = Field(0.03, gt=0, description="hand and object closer than this touch [m]")
+    closed: float | None = Field(
+        None, description="opening up to which a gripper holds (default: halfway between its least and largest) [m]"
+    )

@@ -1,11 +1,27 @@
-"""What every reader makes of one camera in one sequence."""
+"""What every reader makes of one camera in one sequence: its images, however they are kept, with their time stamps."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.layout import read_color, read_depth
+
+
+class Images(Protocol):
+    """One camera's images in their order; what is wrong with one raises `DataError` naming file, camera and frame."""
+
+    def color(self, k: int) -> bytes:
+        """A colour image as JPEG or PNG, of the camera's size."""
+
+    def depth(self, k: int) -> tuple[np.ndarray, bytes | None]:
+        """Depth as it was recorded, uint16 [H, W] in units of the camera's depth scale, and the PNG it was kept as, if any."""
+
+    def mask(self, k: int) -> np.ndarray | None:
+        """The object's mask, bool [H, W] of colour's size, where the recording has one."""
 
 
 @dataclass(frozen=True)
@@ -15,7 +31,28 @@ class Film:
     camera: Camera
     times: np.ndarray
     """[image] s, rising."""
-    files: list[tuple[Path, Path]]
-    """Colour and depth of each image."""
+    images: Images
     numbers: np.ndarray
     """[image] what each is called by in the recording."""
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """Images in files of their own: colour as JPEG or PNG, depth as 16-bit PNG; no masks."""
+
+    camera: Camera
+    files: Sequence[tuple[Path, Path]]
+    """Colour and depth of each image."""
+
+    def color(self, k: int) -> bytes:
+        """The file's bytes."""
+        return read_color(self.files[k][0], self.camera)
+
+    def depth(self, k: int) -> tuple[np.ndarray, bytes | None]:
+        """The image, and the file's bytes."""
+        path = self.files[k][1]
+        return read_depth(path, self.camera), path.read_bytes()
+
+    def mask(self, k: int) -> np.ndarray | None:
+        """None."""
+        return None

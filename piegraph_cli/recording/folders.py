@@ -1,16 +1,23 @@
 """The sequence folders of a recording. Nothing heavy is imported: whoever lists a run's sequences asks here first."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 from piegraph_cli.errors import DataError
 
+STILL = re.compile(r"(?P<name>[^.].*?)[._-](?P<kind>color|colour|rgb|depth|pose)\.(png|jpg|jpeg|txt)")
+"""What images and poses in a folder of single frames are called."""
+BAGS = (".bag", ".db3", ".mcap")
+"""Endings of ROS bags; a bag can be a sequence without a folder of its own."""
+COMPRESSED_BAGS = (*BAGS, ".zstd")
+"""With those of a file that ROS 2 compressed as a whole."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
-    """The sequence folders of a recording, sorted by name, in a layout of `SIGNS`; by default the first that fits."""
+    """The sequences of a recording, folders or bags, sorted by name, in a layout of `SIGNS`; by default the first that fits."""
     if not recording.is_dir() and recording.is_relative_to(PACKAGE):
         raise DataError(
             "the sample recording is not part of the installed package",
@@ -19,24 +26,36 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
         )
     if not recording.is_dir():
         raise DataError("no such recording folder", str(recording), "give the folder that holds cameras.json")
-    folders = sorted(path for path in entries_of(recording) if path.is_dir())
+    inside = [] if is_ros2_folder(recording) else entries_of(recording)
+    folders = sorted(path for path in inside if path.is_dir() or path.suffix in BAGS)
     for name in _wanted(layout):
-        sequences = [path for path in folders if SIGNS[name](path)]
+        sequences = [path for path in folders if _fits(name, path)]
         if sequences:
             return sequences
-    if any(SIGNS[name](recording) for name in _wanted(layout)):
+    others = next((name for name in SIGNS if any(_fits(name, path) for path in folders)), None)
+    if others:
+        message = f"no sequence found in the layout {layout}, but in the layout {others}"
+        raise DataError(message, str(recording), "leave --layout out, and ingest.layout in the recipe")
+    if any(_fits(name, recording) for name in _wanted(layout)):
         hint = f"give the folder above it: {recording.resolve().parent}"
         raise DataError("this is one sequence, not a recording of sequences", str(recording), hint)
     raise DataError(
         "no sequence found" + (f" in the layout {layout}" if layout != "auto" else ""),
         str(recording),
-        "expected SEQUENCE/CAMERA/color/000000.jpg below it; see docs/formats.md",
+        "expected SEQUENCE/CAMERA/color/000000.jpg below it, or a layout of `piegraph list layouts`",
     )
 
 
 def layout_of(sequence: Path, layout: str = "auto") -> str:
     """The layout of a sequence folder: the one given, or the first of `SIGNS` that fits."""
-    return next((name for name in _wanted(layout) if SIGNS[name](sequence)), _wanted(layout)[0])
+    return next((name for name in _wanted(layout) if _fits(name, sequence)), _wanted(layout)[0])
+
+
+def _fits(layout: str, folder: Path) -> bool:
+    try:
+        return SIGNS[layout](folder)
+    except OSError as error:
+        raise unreadable(error, folder) from None
 
 
 def _wanted(layout: str) -> list[str]:
@@ -44,8 +63,20 @@ def _wanted(layout: str) -> list[str]:
 
 
 def entries_of(folder: Path) -> list[Path]:
-    """What is in a folder; names that begin with a dot are nobody's: desktops and network disks leave them."""
-    return [path for path in folder.iterdir() if not path.name.startswith(".")]
+    """What is in a folder, nothing in a file; names that begin with a dot are nobody's: desktops and network disks leave them.
+
+    Raises `DataError` where it cannot be read.
+    """
+    try:
+        return [path for path in folder.iterdir() if not path.name.startswith(".")] if folder.is_dir() else []
+    except OSError as error:
+        raise unreadable(error, folder) from None
+
+
+def unreadable(error: OSError, place: Path) -> DataError:
+    """What to tell of a file or folder that the system keeps back."""
+    hint = "give yourself the right to read it, or move it out of the recording"
+    return DataError(f"cannot be read: {error.strerror or error}", str(error.filename or place), hint)
 
 
 def calibration_sequences(sequences: list[Path]) -> set[str]:
@@ -71,5 +102,39 @@ def _is_gbnd(folder: Path) -> bool:
     return any((camera / "camera_params.npy").is_file() for camera in entries_of(folder))
 
 
-SIGNS: dict[str, Callable[[Path], bool]] = {"piegraph": _is_ours, "tum": _is_tum, "gbnd": _is_gbnd}
+def _is_phystwin(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in ("metadata.json", "calibrate.pkl"))
+
+
+def _is_pgnd(folder: Path) -> bool:
+    times = (folder / "timestamps.txt").is_file()
+    return times and any((camera / "rgb").is_dir() for camera in entries_of(folder))
+
+
+def _is_stills(folder: Path) -> bool:
+    names = [path.name for path in entries_of(folder)]
+    kinds = {told["kind"] for told in map(STILL.fullmatch, names) if told}
+    return "depth" in kinds and bool(kinds & {"color", "colour", "rgb"})
+
+
+def is_ros2_folder(folder: Path) -> bool:
+    """Whether a folder is one bag, as ROS 2 writes them."""
+    return (folder / "metadata.yaml").is_file() and any(path.suffix in COMPRESSED_BAGS for path in entries_of(folder))
+
+
+def _is_ros(path: Path) -> bool:
+    if path.is_file():
+        return path.suffix in BAGS
+    return any(entry.suffix in COMPRESSED_BAGS or is_ros2_folder(entry) for entry in entries_of(path))
+
+
+SIGNS: dict[str, Callable[[Path], bool]] = {
+    "piegraph": _is_ours,
+    "tum": _is_tum,
+    "gbnd": _is_gbnd,
+    "phystwin": _is_phystwin,
+    "pgnd": _is_pgnd,
+    "stills": _is_stills,
+    "ros": _is_ros,
+}
 """How the folder of a sequence is told, by layout."""

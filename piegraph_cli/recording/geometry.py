@@ -15,6 +15,7 @@ from piegraph_cli.recording.checks import Check, check_images, judged
 from piegraph_cli.recording.edges import match_outlines, standing
 from piegraph_cli.recording.pairs import check_pairs
 from piegraph_cli.recording.planes import Plane, Rays, find_planes
+from piegraph_cli.recording.texture import check_texture, picture_of
 
 OFFSET, TILT = (0.004, 0.007), (1.2, 2.2)
 """A table off by more (m, deg) is doubtful, bad. Good recordings end at 2.5 mm and 0.9 degrees."""
@@ -90,9 +91,10 @@ def check_geometry(views: Sequence[View], workspace: np.ndarray, table: float = 
     checks += [*_check_tables(looks, edges, workspace, table), *edges.values()]
     wrong = {name for check in checks if check.verdict == "bad" for name in check.cameras}
     # where one camera is wrong in itself, the others cannot agree with it
-    return checks + check_pairs(
-        [look.sights() for look in looks if look.table and look.camera.name not in wrong], table
-    )
+    right = [look for look in looks if look.table and look.camera.name not in wrong]
+    pictures = [picture_of(look.camera, look.view.color[0], look.view.depth[0], workspace, table) for look in right]
+    textures = check_texture([look.camera for look in right], pictures, workspace)
+    return checks + check_pairs([look.sights() for look in right], table) + textures
 
 
 def _check_pose(camera: Camera) -> Check:

@@ -17,10 +17,14 @@ def join_images(encoded: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:
 
 def encode_masks(masks: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Masks, bool [H, W] each, as one-bit PNG images in a byte array with offsets."""
+    return join_images(encode_mask(mask) for mask in masks)
+
+
+def encode_mask(mask: np.ndarray) -> bytes:
+    """A mask, bool [H, W], as a one-bit PNG."""
     import cv2
 
-    flags = [cv2.IMWRITE_PNG_BILEVEL, 1]
-    return join_images(cv2.imencode(".png", mask.astype(np.uint8) * 255, flags)[1].tobytes() for mask in masks)
+    return cv2.imencode(".png", mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes()
 
 
 def encode_depth(depth: np.ndarray) -> bytes:
@@ -66,11 +70,22 @@ class ImageStack:
             )
         return decoded
 
+    def has(self, frame: int, camera: int) -> bool:
+        """Whether there is such an image."""
+        image = frame * self.cameras + camera
+        return bool(self.offsets[image + 1] > self.offsets[image])
+
     def color(self, frame: int, camera: int) -> np.ndarray:
         """RGB uint8 [H, W, 3]."""
         import cv2
 
         return cv2.cvtColor(self._decode(frame, camera, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+    def grey(self, frame: int, camera: int) -> np.ndarray:
+        """Grey uint8, a quarter as wide and high as the colour image."""
+        import cv2
+
+        return self._decode(frame, camera, cv2.IMREAD_REDUCED_GRAYSCALE_4)
 
     def depth(self, frame: int, camera: int) -> np.ndarray:
         """Depth uint16 [H, W] in the camera's units, 0 for no reading."""

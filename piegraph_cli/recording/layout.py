@@ -208,7 +208,12 @@ def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"])
     folder = sequence / camera.name / kind
     if not folder.is_dir():
         raise DataError("folder is missing", str(folder), "see docs/formats.md for the layout")
-    return by_number([p for p in entries_of(folder) if p.is_file() and p.suffix.lower() in SUFFIXES[kind]])
+    files = [p for p in entries_of(folder) if p.is_file()]
+    found = by_number([p for p in files if p.suffix.lower() in SUFFIXES[kind]])
+    if files and not found:
+        hint = "write 16-bit PNG, whole millimetres" if kind == "depth" else "write .jpg or .png"
+        raise DataError(f"holds {min(files).name}, and no {' or '.join(SUFFIXES[kind])} files", str(folder), hint)
+    return found
 
 
 def read_color(path: Path, camera: Camera) -> bytes:
@@ -244,6 +249,17 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
             "align depth to colour when recording, or give depth_width, depth_height, depth_K and T_color_depth",
         )
     return image
+
+
+def read_mask(path: Path, camera: Camera) -> np.ndarray:
+    """A mask, bool [H, W] of the colour image's size: what is not black."""
+    import cv2
+
+    _, image = _decoded(path, cv2.IMREAD_GRAYSCALE, camera.name)
+    if image.shape != (camera.height, camera.width):
+        size = f"{image.shape[1]} x {image.shape[0]}, colour {camera.width} x {camera.height}"
+        raise DataError(f"mask of camera {camera.name}, frame {path.stem} is {size}", str(path), "remove the masks")
+    return image > 0
 
 
 def image_size(path: Path, camera: str) -> tuple[int, int]:

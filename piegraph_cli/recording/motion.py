@@ -13,7 +13,9 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import Mode, mode_number
+from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.motion_csv import read_csv
+from piegraph_cli.recording.motion_episode import is_episode, read_episode
 from piegraph_cli.recording.points import read_arrays
 
 NAMES = {
@@ -64,18 +66,23 @@ class Motion:
     """[T, N] float32, 0 unseen to 1 seen."""
     contact_given: bool
     """Whether the file has contact; else it was found by distance."""
+    opening: np.ndarray | None
+    """[T] how far a gripper is open, where there is one."""
     warnings: list[str]
 
 
 def list_files(source: Path, more: Mapping[str, Reader]) -> list[Path]:
-    """The files of a source, itself or what a folder holds of .npz, .csv and `more`; names with a dot first are nobody's.
+    """The files of a source, itself or what a folder holds of .npz, .csv, `more` and episodes, which are folders.
 
     Raises `DataError` where there is none, or the file is of another kind.
     """
     suffixes = (".npz", ".csv", *more)
     kinds = ", ".join(suffixes)
+    if is_episode(source):
+        return [source]
     if source.is_dir():
-        found = [p for p in source.iterdir() if p.is_file() and p.suffix.lower() in suffixes and p.name[0] != "."]
+        inside = entries_of(source)
+        found = [p for p in inside if (p.is_file() and p.suffix.lower() in suffixes) or is_episode(p)]
         if not found:
             raise DataError("no file to import in this folder", str(source), f"put {kinds} files there")
         return sorted(found, key=lambda path: [part.zfill(20) for part in re.split(r"([0-9]+)", path.name)])
@@ -88,13 +95,20 @@ def list_files(source: Path, more: Mapping[str, Reader]) -> list[Path]:
     return [source]
 
 
-def read_motion(path: Path, radius: float, mode: Mode, more: Mapping[str, Reader]) -> Motion:
+def read_motion(
+    path: Path,
+    radius: float,
+    mode: Mode,
+    more: Mapping[str, Reader],
+    choose: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Motion:
     """The particles over time of a file, checked. `radius` (m) and `mode`: see the settings of `import`.
 
-    Raises `DataError` that names the file, the frame (in a CSV file the line too) and what to do.
+    `choose` gives the indices of those to keep of a frame's particles [N, 3]; by default all are. Raises `DataError` that
+    names the file, the frame (in a CSV file the line too) and what to do.
     """
     readers: dict[str, Reader] = {".npz": lambda p: read_arrays(p, ALL_NAMES), ".csv": read_csv, **more}
-    raw = readers[path.suffix.lower()](path)
+    raw, notes = read_episode(path) if path.is_dir() else (readers[path.suffix.lower()](path), [])
     place = _Place(path)
     arrays: dict[str, np.ndarray] = {}
     for name, known in NAMES.items():
@@ -107,11 +121,26 @@ def read_motion(path: Path, radius: float, mode: Mode, more: Mapping[str, Reader
         if name not in arrays:
             held = ", ".join(raw) or "none of them"
             raise DataError(f"has no array {NAMES[name][0]}, but {held}", str(path), f"write {NEEDED}")
+    if choose:
+        _thin(arrays, choose, place)
     _check_shapes(arrays, place)
     _check_numbers(arrays, place)
     _check_units(arrays, place)
     _check_motion(arrays, place)
-    return _completed(arrays, radius, mode, place)
+    return _completed(arrays, radius, mode, place, notes, raw.get("opening"))
+
+
+def _thin(arrays: dict[str, np.ndarray], choose: Callable[[np.ndarray], np.ndarray], place: "_Place") -> None:
+    """Keep those of the particles that `choose` gives for the first frame."""
+    first = arrays["positions"][:1]
+    if first.ndim != 3 or first.shape[2:] != (3,) or first.dtype.kind not in "fiu" or not np.isfinite(first).all():
+        return  # what is wrong with them is said by the checks
+    try:
+        kept = choose(first[0])
+    except DataError as error:
+        raise DataError(error.message, place(0), "keep fewer particles, or all of them") from None
+    for name in {"positions", "visibility"} & arrays.keys():
+        arrays[name] = arrays[name][:, kept]
 
 
 @dataclass(frozen=True)
@@ -141,7 +170,7 @@ def _check_shapes(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
     if frames < 2:
         raise DataError(f"has {frames} frames", str(place.path), "a stroke needs two at least: before and after")
     if not FEWEST <= count <= MOST:
-        hint = f"give {FEWEST} to {MOST} points of the object, the same in each frame"
+        hint = f"give {FEWEST} to {MOST} points of the object, the same in each frame, or keep fewer with --particles"
         raise DataError(f"has {count} particles", str(place.path), hint)
 
 
@@ -201,10 +230,17 @@ def _check_motion(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
         raise DataError(message, place(0), "z points up: where it points down, negate y and z; or shift the table to 0")
 
 
-def _completed(arrays: Mapping[str, np.ndarray], radius: float, mode: Mode, place: _Place) -> Motion:
+def _completed(
+    arrays: Mapping[str, np.ndarray],
+    radius: float,
+    mode: Mode,
+    place: _Place,
+    notes: list[str],
+    opening: np.ndarray | None,
+) -> Motion:
     """The motion with what the file left out."""
     positions, hand = (np.asarray(arrays[name], np.float32) for name in ("positions", "end_effector"))
-    modes, warnings = _modes(arrays.get("mode"), len(hand), mode, place), []
+    modes, warnings = _modes(arrays.get("mode"), len(hand), mode, place), list(notes)
     contact = arrays.get("contact")
     if contact is None:
         contact = np.linalg.norm(positions - hand[:, None], axis=2).min(1) <= radius
@@ -218,7 +254,7 @@ def _completed(arrays: Mapping[str, np.ndarray], radius: float, mode: Mode, plac
         warnings.append(f"the object moves {z:.2g} m in z and {y:.2g} m in y: is y up? z has to point up")
     visibility = np.asarray(arrays.get("visibility", np.ones(positions.shape[:2])), np.float32)
     time, contact = arrays["time"].astype(float), contact.astype(bool)
-    return Motion(positions, hand, time, contact, modes, visibility, "contact" in arrays, warnings)
+    return Motion(positions, hand, time, contact, modes, visibility, "contact" in arrays, opening, warnings)
 
 
 def _modes(given: np.ndarray | None, frames: int, mode: Mode, place: _Place) -> np.ndarray:

@@ -44,14 +44,10 @@ def match_stamps(files: Sequence[Path], stamps: int, where: str) -> tuple[np.nda
     """
     numbers = [number_of(path)[-1] for path in files]
     steps = np.diff(np.array(numbers, float))
-    odd = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
     lines = np.arange(len(files))
     if len(files) == stamps:
-        if not len(odd):
-            return lines, []
-        message = f"{where}: no image between {files[int(odd[0])].stem} and {files[int(odd[0]) + 1].stem}"
-        more = f", and {len(odd) - 1} more gaps" if len(odd) > 1 else ""
-        return lines, [f"{message}{more}: images and time stamps, {stamps} each, are paired in order"]
+        gaps = frame_gaps(files, where)
+        return lines, [f"{text}: images and time stamps, {stamps} each, are paired in order" for text in gaps]
     whole = all(number == int(number) for number in numbers) and (steps > 0).all()
     if numbers and whole and 0 < len(files) < stamps and numbers[-1] - numbers[0] + 1 == stamps:
         warning = f"{where}: {stamps - len(files)} time stamps without an image, left out; images go by their numbers"
@@ -61,6 +57,16 @@ def match_stamps(files: Sequence[Path], stamps: int, where: str) -> tuple[np.nda
         where,
         "each frame needs one line of timestamps.txt",
     )
+
+
+def frame_gaps(files: Sequence[Path], where: str) -> list[str]:
+    """A word on gaps between the numbers of images in their order, if there are any."""
+    steps = np.diff([float(number_of(path)[-1]) for path in files])
+    odd = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
+    if not len(odd):
+        return []
+    more = f", and {len(odd) - 1} more gaps" if len(odd) > 1 else ""
+    return [f"{where}: no image between {files[int(odd[0])].stem} and {files[int(odd[0]) + 1].stem}{more}"]
 
 
 def frame_numbers(files: Sequence[Path]) -> np.ndarray:

@@ -1,43 +1,103 @@
 """One recorded sequence, checked, on one clock, as arrays."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.clocks import OFF, TOLD, changes, compare_clocks, explained
+from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
-from piegraph_cli.recording.images import encode_depth, join_images
-from piegraph_cli.recording.layout import read_color, read_depth
-from piegraph_cli.recording.params import IngestParams
-from piegraph_cli.recording.readers import read_films
+from piegraph_cli.recording.images import ImageStack, encode_depth, encode_mask, join_images
+from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.recording.timing import align_frames
 
+SMOOTHER = 8
+"""Times that depth is smoother with its bytes exchanged where they were exchanged before."""
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 def read_sequence(
-    folder: Path, params: IngestParams, progress: Progress = iter
+    folder: Path, params: ReadParams, progress: Progress = iter
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Cameras, times and encoded images of one sequence folder as the datasets of a frames artifact, and warnings.
 
     Raises `DataError` naming file, camera and frame.
     """
-    films, warnings = read_films(folder, layout_of(folder, params.layout))
-    time, source, alone = align_frames(
-        {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
-    )
+    layout = layout_of(folder, params.layout)
+    films, warnings = read_films(folder, layout, params)
+    films = _on_one_clock(films, params.offsets, folder)
+    path = read_path(folder, layout, params)
+    try:
+        time, source, alone = align_frames(
+            {f.camera.name: f.times for f in films}, params.fps, params.max_skew, str(folder)
+        )
+    except DataError as error:
+        raise _with_clocks(error, films) from None
     if len(time) < 2:
-        raise DataError("one frame: nothing can be seen to move", str(folder), "record longer, or remove this sequence")
+        hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
+        raise DataError("one frame: nothing can be seen to move", str(folder), hint)
+    stamps = np.stack([film.times[source[:, c]] for c, film in enumerate(films)], 1)
+    clock = stamps.mean(1)
+    tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
     images, blind = _read_images(films, source, progress)
+    _check_byte_order(folder, films, source[0])
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
-    arrays = images | {
-        "time": time,
-        "source_frame": np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1),
+    arrays = images | tool | _camera_arrays(cameras)
+    arrays["time"] = time
+    arrays["stamp"] = stamps - clock[0]
+    arrays["source_frame"] = np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1)
+    warnings += alone + gaps
+    if blind.any():
+        frame, c = np.argwhere(blind)[0]
+        warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
+    return arrays, warnings
+
+
+def _on_one_clock(films: list[Film], offsets: dict[str, float], folder: Path) -> list[Film]:
+    """The films with the offsets (s) of their cameras taken off their time stamps."""
+    names = [film.camera.name for film in films]
+    unknown = sorted(offsets.keys() - set(names))
+    if unknown:
+        raise UsageError(f"ingest.offsets: no camera {unknown[0]}", str(folder), f"cameras are {', '.join(names)}")
+    return [replace(film, times=film.times - offsets.get(film.camera.name, 0.0)) for film in films]
+
+
+def _with_clocks(error: DataError, films: list[Film]) -> DataError:
+    """An error of frames that find no partners, with how late cameras are where their images tell it."""
+    starts = np.array([film.times[0] for film in films])
+    apart = max(starts) > min(film.times[-1] for film in films)
+    starts = starts - starts[0] if apart else np.zeros(len(films))
+    seen = []
+    for film in films:
+        data, offsets = join_images(film.images.color(k) for k in range(len(film.times)))
+        stack = ImageStack(data, offsets, 1, "colour")
+        seen.append(changes(stack.grey(k, 0) for k in range(len(stack))))
+    clocks = compare_clocks(seen, [film.times - start for film, start in zip(films, starts, strict=True)])
+    if clocks is None or clocks.fit.min() < TOLD:
+        return error
+    late = clocks.late + starts
+    found = {f.camera.name: float(s) for f, s in zip(films, late, strict=True) if abs(s) > OFF[1] * clocks.step / 2}
+    if not found:
+        return error
+    causes = [explained(name, s)[0] for name, s in found.items()]
+    given = ",".join(f"{name}={s:.2f}" for name, s in found.items())
+    return DataError(
+        f"{error.message}; what moves in the images says: {'; '.join(causes)}",
+        error.where,
+        f"one clock for all cameras, or ingest.offsets = {given}",
+    )
+
+
+def _camera_arrays(cameras: list[Camera]) -> dict[str, np.ndarray]:
+    return {
         "camera_name": np.array([c.name for c in cameras]),
         "image_size": np.array([[c.width, c.height] for c in cameras]),
         "K": np.array([c.K for c in cameras]),
@@ -45,31 +105,45 @@ def read_sequence(
         "depth_scale": np.array([c.depth_scale for c in cameras]),
         "T_world_camera": np.array([c.T_world_camera for c in cameras]),
     }
-    warnings += alone
-    if blind.any():
-        frame, c = np.argwhere(blind)[0]
-        warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
-    return arrays, warnings
 
 
 def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty."""
-    color, depth, blind = [], [], np.zeros(source.shape, bool)
+    """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty.
+
+    Masks are among them where the recording has any; those it lacks have no bytes.
+    """
+    color, depth, masks, blind = [], [], [], np.zeros(source.shape, bool)
     for frame in progress(range(len(source))):
         for c, film in enumerate(films):
-            color_file, depth_file = film.files[source[frame, c]]
-            color.append(read_color(color_file, film.camera))
-            image = read_depth(depth_file, film.camera)
-            if film.camera.depth_view is None:
-                depth.append(depth_file.read_bytes())
-            else:
-                image = register_depth(image, film.camera)
-                depth.append(encode_depth(image))
+            k = int(source[frame, c])
+            color.append(film.images.color(k))
+            image, encoded = film.images.depth(k)
+            if film.camera.depth_view is not None:
+                image, encoded = register_depth(image, film.camera), None
+            depth.append(encoded or encode_depth(image))
             blind[frame, c] = not image.any()
-    data, offsets = join_images(color)
-    depth_data, depth_offsets = join_images(depth)
-    names = ("color", "color_offsets", "depth", "depth_offsets")
-    return dict(zip(names, (data, offsets, depth_data, depth_offsets), strict=True)), blind
+            mask = film.images.mask(k)
+            masks.append(b"" if mask is None else encode_mask(mask))
+    arrays: dict[str, np.ndarray] = {}
+    for name, images in [("color", color), ("depth", depth), *([("mask", masks)] if any(masks) else [])]:
+        arrays[name], arrays[f"{name}_offsets"] = join_images(images)
+    return arrays, blind
+
+
+def _check_byte_order(folder: Path, films: list[Film], first: np.ndarray) -> None:
+    """Refuse depth whose two bytes are exchanged: neighbours then differ by hundreds of times as much."""
+
+    def roughness(image: np.ndarray) -> float:
+        steps = np.abs(np.diff(image.astype(np.int32), axis=1))[(image[:, 1:] > 0) & (image[:, :-1] > 0)]
+        return float(steps.mean()) if len(steps) else 0.0
+
+    for film, k in zip(films, first, strict=True):
+        image = film.images.depth(int(k))[0]
+        if roughness(image.byteswap()) * SMOOTHER < roughness(image):
+            message = f"the two bytes of depth are exchanged (big-endian), frame {film.numbers[k]}"
+            raise DataError(
+                message, f"{folder}, camera {film.camera.name}", "write each value's bytes the other way round"
+            )
 
 
 def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None:
@@ -77,5 +151,5 @@ def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None
         raise DataError(
             f"every depth image of camera {cameras[c].name} is zero, from frame 0 on",
             str(folder / cameras[c].name / "depth"),
-            "check that depth was recorded, or remove the camera from cameras.json",
+            "check that depth was recorded, or leave the camera out: its folder, and what cameras.json has of it",
         )

@@ -17,19 +17,23 @@ FEWEST = 0.5
 """Share of the frames that must have a partner in every camera."""
 
 
-def check_times(times: np.ndarray, where: str) -> list[str]:
-    """Check one camera's time stamps [frame] (s); returns warnings of gaps.
+def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 1) -> list[str]:
+    """Check one camera's time stamps [frame] (s), which are `item` `first` and so on of `where`; returns warnings of gaps.
 
     Raises `DataError` naming the line for stamps that are not finite, do not increase, leap ahead, or are no seconds.
     """
     wrong = np.flatnonzero(~np.isfinite(times))
     if len(wrong):
-        raise DataError(f"line {wrong[0] + 1} is not a finite number", where, "one time stamp in seconds per line")
+        raise DataError(
+            f"{item} {wrong[0] + first} is not a finite number", where, "one time stamp in seconds per line"
+        )
     steps = np.diff(times)
     back = np.flatnonzero(steps <= 0)
     if len(back):
         raise DataError(
-            f"time stamps must increase: line {back[0] + 2} does not", where, "sort or repair the file, or cut it there"
+            f"time stamps must increase: {item} {back[0] + 1 + first} does not",
+            where,
+            "sort or repair the file, or cut it there",
         )
     if not len(steps):
         return []
@@ -40,10 +44,10 @@ def check_times(times: np.ndarray, where: str) -> list[str]:
         raise DataError(message, where, f"time stamps are in seconds: divide by {in_second:.0f}")
     if 1 / usual > FASTEST:
         raise DataError(f"{1 / usual:.2g} frames a second", where, "give the time stamps in seconds")
-    first = int(np.argmax(steps))
-    if steps[first] > max(LONGEST_GAP, MANY * usual):
+    longest = int(np.argmax(steps))
+    if steps[longest] > max(LONGEST_GAP, MANY * usual):
         raise DataError(
-            f"time stamps leap {steps[first]:.1f} s ahead at line {first + 2}",
+            f"time stamps leap {steps[longest]:.1f} s ahead at {item} {longest + 1 + first}",
             where,
             "if nothing was recorded in between, make two sequences of it; otherwise repair the clock",
         )
@@ -51,7 +55,7 @@ def check_times(times: np.ndarray, where: str) -> list[str]:
     if not len(gaps):
         return []
     more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
-    return [f"{where}: {steps[gaps[0]]:.1f} s without a frame before line {gaps[0] + 2}{more}"]
+    return [f"{where}: {steps[gaps[0]]:.1f} s without a frame before {item} {gaps[0] + 1 + first}{more}"]
 
 
 def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tuple[np.ndarray, list[str]]:
@@ -102,6 +106,14 @@ def nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:
     before = after - 1
     after = np.minimum(after, len(others) - 1)
     return np.where(np.abs(others[after] - stamps) < np.abs(others[before] - stamps), after, before)
+
+
+def matched(times: np.ndarray, others: np.ndarray, within: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which of rising `times` (s) have a partner in rising `others`, each the other's nearest and `within` (s), and which."""
+    partner = nearest(times, others)
+    mutual = nearest(others, times)[partner] == np.arange(len(times))
+    kept = np.flatnonzero(mutual & (np.abs(others[partner] - times) <= within))
+    return kept, partner[kept]
 
 
 def align_frames(

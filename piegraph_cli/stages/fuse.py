@@ -21,7 +21,7 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     """Fuse one sequence."""
     import numpy as np
 
-    from piegraph_cli.perception.clouds import contact, fuse
+    from piegraph_cli.perception.clouds import contact, fuse, while_closed
     from piegraph_cli.recording.images import ImageStack
     from piegraph_cli.stages.images import cameras_of, depth_of, workspace_of
 
@@ -41,6 +41,8 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
             "look at the masks with `piegraph report`; check ingest.workspace",
         )
     touching = contact(hands["end_effector"], clouds, params.contact_radius)
+    if "opening" in hands.arrays:
+        touching = while_closed(touching, hands["opening"], params.closed)
     arrays = {
         "points": np.concatenate(clouds),
         "offsets": np.concatenate([[0], sizes.cumsum()]),

@@ -7,9 +7,10 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.checks import Check, Finding, grouped
+from piegraph_cli.recording.clocks import changes, check_clocks
 from piegraph_cli.recording.geometry import View, check_geometry
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -18,20 +19,14 @@ EMPTY_FRAMES = 5
 
 
 def check_frames(
-    arrays: dict[str, np.ndarray], params: IngestParams, folder: Path
+    arrays: dict[str, np.ndarray], params: ReadParams, folder: Path
 ) -> tuple[dict[str, np.ndarray], str, list[str]]:
     """The checks of a sequence's frames: as datasets, in a word or two, and as warnings.
 
     Raises `DataError` with the cameras, figures and causes where one is bad and not among those to accept.
     """
-    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
-    color, depth = color_of(frames), depth_of(frames)
-    chosen = _chosen(depth)
-    views = [
-        View(camera, [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
-        for c, camera in enumerate(cameras_of(frames))
-    ]
-    checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table)
+    checks = check_geometry(views_of(arrays, folder), np.array(params.workspace).reshape(3, 2), params.table)
+    checks += _check_clocks(arrays)
     bad = [f for f in grouped([c for c in checks if c.verdict == "bad"]) if f.name not in params.accept]
     if bad:
         raise _refused(bad, folder)
@@ -39,6 +34,25 @@ def check_frames(
     warnings = [f"geometry: {f.text}" + (f"\n  try: {f.remedy}" if f.remedy else "") for f in found]
     word = "; ".join(f"{f.checks[0].verdict}: {f.name} of {', '.join(f.cameras)}" for f in found) or "good"
     return _datasets(checks), word, warnings
+
+
+def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
+    """What the checks look at: a few frames of each camera."""
+    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+    color, depth = color_of(frames), depth_of(frames)
+    chosen = _chosen(depth)
+    return [
+        View(camera, [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
+        for c, camera in enumerate(cameras_of(frames))
+    ]
+
+
+def _check_clocks(arrays: dict[str, np.ndarray]) -> list[Check]:
+    names = [str(name) for name in arrays["camera_name"]]
+    color = ImageStack(arrays["color"], arrays["color_offsets"], len(names), "colour")
+    frames = range(len(color))
+    seen = [changes(color.grey(frame, c) for frame in frames) for c in range(len(names))]
+    return check_clocks(names, seen, list(arrays["stamp"].T))
 
 
 def _chosen(depth: ImageStack) -> list[int]:

@@ -34,10 +34,13 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
 
     from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
     from piegraph_cli.perception.two_hands import separate_hands, travel
+    from piegraph_cli.stages.end_effectors import from_file
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of
     from piegraph_cli.weights import cached_weights
 
     frames: Any = inputs["frames"]
+    if params.source == "file" or (params.source == "auto" and "end_effector" in frames.arrays):
+        return from_file(frames)
     cameras, color, depth, time = cameras_of(frames), color_of(frames), depth_of(frames), frames["time"]
     model = params.hand_model or cached_weights("hand-landmarker")
     images = [color.of_camera(c) for c in range(len(cameras))]

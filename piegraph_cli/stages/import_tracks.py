@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.params import PICK
 from piegraph_cli.recording.params import ImportParams, MotionFileParams
 from piegraph_cli.workspace.call import Call, Given, Option, options_of
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
@@ -29,7 +30,7 @@ def _files(run: "Run") -> dict[str, Path]:
     gone = [source for source in sources if not source.exists() and _kept(run, source)]
     for source in (source for source in sources if source not in gone):
         for file in list_files(source, READERS):
-            name = file.stem
+            name = file.name if file.is_dir() else file.stem
             if name in found:
                 raise DataError(f"two files are called {name}", str(file), f"rename one of them: {found[name]}")
             if len(name.encode()) > LONGEST_NAME:
@@ -53,7 +54,7 @@ def _units(run: "Run") -> Sequence[Unit]:
 
 def _settings(run: "Run", unit: str) -> MotionFileParams:
     params = run.params(STAGE.name)
-    return MotionFileParams(file=_files(run)[unit], mode=params.mode, radius=params.radius)
+    return MotionFileParams(file=_files(run)[unit], mode=params.mode, radius=params.radius, particles=params.particles)
 
 
 def _options() -> dict[str, Option]:
@@ -81,9 +82,10 @@ STAGE = Stage(
     units=_units,
     settings=_settings,
     call=Call(
-        more="Of motion capture, another tracker or a simulator: .npz, .h5 or .csv (docs/formats.md), as tracks of a run.",
+        more="Of motion capture, another tracker or a simulator: .npz, .h5, .csv or folders (docs/formats.md), as tracks of a "
+        "run.",
         argument="sources",
-        first=("mode", "radius"),
+        first=("mode", "radius", "particles"),
         options=_options,
         apply=_apply,
     ),
@@ -92,17 +94,33 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: MotionFileParams, context: Context) -> Output:
     """Read and check one file."""
+    from functools import partial
+
     import numpy as np
 
+    from piegraph_cli.physics.springs import farthest_point_sample
     from piegraph_cli.recording.motion import read_motion
 
-    found = read_motion(params.file, params.radius, params.mode, READERS)
+    choose = partial(farthest_point_sample, count=params.particles) if params.particles else None
+    found = read_motion(params.file, params.radius, params.mode, READERS, choose)
     frames, particles = found.positions.shape[:2]
     arrays = {name: getattr(found, name) for name in ("positions", "end_effector", "time", "contact", "mode")}
+    if found.opening is not None:
+        arrays |= _held(found.contact, found.mode, found.opening)
     arrays |= {"visibility": found.visibility, "residual": np.zeros(frames)}
-    quality = f"{frames} frames, {particles} particles, contact in {found.contact.mean():.0%} of the frames"
+    quality = f"{frames} frames, {particles} particles, contact in {arrays['contact'].mean():.0%} of the frames"
     quality += "" if found.contact_given else f" (hand within {params.radius:g} m of a particle)"
     return Output(arrays, quality, found.warnings)
+
+
+def _held(contact: "np.ndarray", mode: "np.ndarray", opening: "np.ndarray") -> "dict[str, np.ndarray]":
+    """Contact and mode of a gripper: one that opens and closes holds while it is closed, and that is a pick."""
+    import numpy as np
+
+    from piegraph_cli.perception.clouds import opens, while_closed
+
+    holds = while_closed(contact, opening)
+    return {"contact": holds, "mode": np.where(holds & opens(opening), PICK, mode)}
 
 
 def read_h5(path: Path) -> "dict[str, np.ndarray]":

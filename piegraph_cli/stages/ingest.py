@@ -1,43 +1,111 @@
 """Stage `ingest`: a recorded sequence, checked, on one clock, as one file."""
 
+import functools
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import IngestParams, SequenceParams
+from piegraph_cli.workspace.call import Call, Option, options_of
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
     from piegraph_cli.workspace.run import Run
 
+log = logging.getLogger("piegraph")
+
+Place = tuple[Path, str]
+"""A recording, and the name of a sequence's folder in it."""
+
 
 def _units(run: "Run") -> Sequence[Unit]:
-    """The sequences of the recording; those that were read, where it is gone. Some are left out."""
-    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
+    """The sequences of all recordings; of one that is gone those that were read. Some are left out."""
+    places = _places(run)
+    for recording in run.params(STAGE.name).recording:
+        if not recording.exists():
+            _tell_gone(recording, sum(of == recording for of, _ in places.values()))
+    return list(places)
 
+
+@functools.cache
+def _tell_gone(recording: Path, count: int) -> None:
+    """Say it once a process."""
+    log.warning("the recording %s is gone: its %d sequences stay as they were read", recording, count)
+
+
+def _places(run: "Run") -> dict[str, Place]:
+    """Where each sequence is, by its name in this run."""
+    return run.once(STAGE.name, _find_places)
+
+
+def _find_places(run: "Run") -> dict[str, Place]:
     params = run.params(STAGE.name)
-    recording, exclude = recording_of(run), set(params.exclude)
-    if not recording.exists() and (run.folder / "frames").is_dir():
-        read = sorted(path.stem for path in (run.folder / "frames").glob("[!.]*.h5"))
-        return [name for name in read if name not in exclude]
-    folders = list_sequences(recording, params.layout)
-    names = [folder.name for folder in folders]
-    unknown = sorted(exclude - {*names, ""})
-    if unknown:
-        raise UsageError(
-            f"ingest.exclude: no sequence {unknown[0]}", str(recording), f"sequences are {', '.join(names)}"
-        )
-    exclude |= calibration_sequences(folders)
-    left = [name for name in names if name not in exclude]
+    if not params.recording:
+        raise UsageError("this run has no recording", str(run.folder), "piegraph ingest --recording FOLDER --run RUN")
+    twice = next((path for k, path in enumerate(params.recording) if path in params.recording[:k]), None)
+    if twice:
+        raise UsageError("ingest.recording: one recording is given twice", str(twice), "give each once")
+    found: dict[str, Place] = {}
+    boards: set[str] = set()
+    gone = [path for path in params.recording if not path.exists() and _kept(run, path)]
+    for recording in params.recording:
+        if recording in gone:
+            found |= {unit: (recording, unit) for unit in _kept(run, recording)}
+            continue
+        names, shown = _sequences(recording, params.layout)
+        for name in names:
+            unit = _unit_name(found, recording, name)
+            found[unit] = (recording, name)
+            boards |= {unit} if name in shown else set()
+    where = ", ".join(map(str, params.recording))
+    unknown = sorted(set(params.exclude) - {*found, ""})
+    if unknown and not gone:
+        raise UsageError(f"ingest.exclude: no sequence {unknown[0]}", where, f"sequences are {', '.join(found)}")
+    left = {unit: place for unit, place in found.items() if unit not in boards | set(params.exclude)}
     if not left:
-        raise DataError("every sequence is left out", str(recording), "record one without the board, or exclude fewer")
+        raise DataError("every sequence is left out", where, "record one without the board, or exclude fewer")
     return left
 
 
-def _settings(run: "Run", unit: str) -> IngestParams:
-    """One sequence does not depend on which others are left out."""
-    return run.params(STAGE.name).model_copy(update={"exclude": ()})
+def _sequences(recording: Path, layout: str) -> tuple[list[str], set[str]]:
+    """Names of a recording's sequences, and those that show the calibration board."""
+    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
+
+    folders = list_sequences(recording, layout)
+    return [folder.name for folder in folders], calibration_sequences(folders)
+
+
+def _kept(run: "Run", recording: Path) -> list[str]:
+    """The sequences that this run has read from a recording."""
+    files = sorted((run.folder / STAGE.writes).glob("[!.]*.h5"))
+    headers = {path.stem: run.header(STAGE, path.stem) for path in files}
+    return [unit for unit, header in headers.items() if header and header.params.get("recording") == str(recording)]
+
+
+def _unit_name(taken: dict[str, Place], recording: Path, name: str) -> str:
+    """A sequence's name; after those of the folders it lies in, as many as it takes, where earlier recordings have it."""
+    above = recording.resolve().parts[1:]
+    names = ("-".join([*above[len(above) - k :], name]) for k in range(len(above) + 1))
+    unit = next((unit for unit in names if unit not in taken), None)
+    if unit is None:
+        raise DataError(f"the name {name} is taken by another recording", str(recording), "rename the folder")
+    return unit
+
+
+def _settings(run: "Run", unit: str) -> SequenceParams:
+    """One sequence does not depend on which others there are."""
+    params = run.params(STAGE.name)
+    recording, sequence = _places(run)[unit]
+    shared = params.model_dump(exclude={"recording", "exclude"})
+    return SequenceParams(recording=recording, sequence=sequence, **shared)
+
+
+def _options() -> dict[str, Option]:
+    """Several recordings may be given, one after the other."""
+    options = options_of(IngestParams)
+    return {"recording": Option(list[Path], options.pop("recording").meaning)} | options
 
 
 STAGE = Stage(
@@ -46,33 +114,32 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=2,
+    version=3,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
     settings=_settings,
+    call=Call(options=_options),
 )
 
 
-def recording_of(run: "Run") -> Path:
-    """The recording folder of a run. Raises `UsageError` where it has none."""
-    recording: Path | None = run.params(STAGE.name).recording
-    if recording is None:
-        raise UsageError("this run has no recording", str(run.folder), "piegraph ingest --recording FOLDER --run RUN")
-    return recording
+def sequence_folder(run: "Run", unit: str) -> Path:
+    """The folder of a sequence of a run's recordings. Raises `UsageError` where the run has none."""
+    recording, sequence = _places(run)[unit]
+    return recording / sequence
 
 
-def run(inputs: dict[str, Any], params: IngestParams, context: Context) -> Output:
-    """Read one sequence of the recording folder."""
-    from piegraph_cli.recording.folders import calibration_sequences, list_sequences
+def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Output:
+    """Read one sequence."""
     from piegraph_cli.recording.sequence import read_sequence
     from piegraph_cli.stages.geometry import check_frames
 
-    folder = recording_of(context.run) / str(context.unit)
+    folder = params.recording / params.sequence
     arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
     checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]
     quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s, geometry {geometry}"
-    if context.unit == context.run.units(STAGE)[0]:
-        board = calibration_sequences(list_sequences(folder.parent, params.layout))
+    first = next(unit for unit, (recording, _) in _places(context.run).items() if recording == params.recording)
+    if context.unit == first:
+        board = _sequences(params.recording, params.layout)[1]
         warnings += [f"{name} is left out: by cameras.json it shows the calibration board" for name in sorted(board)]
     return Output(arrays | checked, quality, warnings + doubts)

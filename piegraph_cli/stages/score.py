@@ -32,7 +32,7 @@ STAGE = Stage(
 
 
 def _truth_file(run: "Run", sequence: str) -> Path:
-    return ingest.recording_of(run) / sequence / "truth.h5"
+    return ingest.sequence_folder(run, sequence) / "truth.h5"
 
 
 def read_truth(run: "Run", sequence: str) -> "Artifact | None":

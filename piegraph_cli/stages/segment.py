@@ -8,6 +8,7 @@ from piegraph_cli.workspace.stage import Context, Output, Stage
 
 if TYPE_CHECKING:
     from piegraph_cli.perception.seeds import ObjectSeed
+    from piegraph_cli.workspace.artifact import Artifact
 
 STAGE = Stage(
     "segment",
@@ -30,6 +31,8 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of, workspace_of
 
     frames, hands = inputs["frames"], inputs["hands"]
+    if "mask" in frames.arrays and not params.prompts and not params.points:
+        return _recorded(frames)
     cameras, count = cameras_of(frames), len(frames["time"])
     color = [color_of(frames).of_camera(c) for c in range(len(cameras))]
     depth = [depth_of(frames).of_camera(c, "depth") for c in range(len(cameras))]
@@ -54,6 +57,27 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
         f"object in {found:.0%} of {count} frames, {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
     )
     return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, seed.warnings)
+
+
+def _recorded(frames: "Artifact") -> Output:
+    """The masks that came with the recording; empty ones for images without."""
+    import numpy as np
+
+    from piegraph_cli.recording.images import ImageStack, encode_masks
+
+    sizes, count = frames["image_size"], len(frames["time"])
+    stack = ImageStack(frames["mask"], frames["mask_offsets"], len(sizes), "mask")
+    masks = [
+        stack.mask(f, c) if stack.has(f, c) else np.zeros(sizes[c][::-1], bool)
+        for f in range(count)
+        for c in range(len(sizes))
+    ]
+    area = np.array([mask.sum() for mask in masks]).reshape(count, -1)
+    data, offsets = encode_masks(masks)
+    quality = f"masks of the recording, in {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"
+    lost = int((~(area > 0).any(1)).sum())
+    warnings = [f"{lost} of {count} frames have no mask in the recording"] if lost else []
+    return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, warnings)
 
 
 def _network(params: SegmentParams) -> Any:

@@ -239,7 +239,8 @@ def check_arrays(
     """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
     import numpy as np
 
-    missing = [d for d in SCHEMAS[name] if not d.endswith("/*") and d not in arrays and (only is None or d in only)]
+    needed = [d for d, field in SCHEMAS[name].items() if not (d.endswith("/*") or field.optional)]
+    missing = [d for d in needed if d not in arrays and (only is None or d in only)]
     if missing:
         raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
     lengths = dict(FIXED_AXES)

@@ -151,14 +151,11 @@ def _newest(found: os.stat_result) -> int:
 
 
 def _fingerprint(path: str) -> tuple[str, int]:
-    """One hash of names and stamps of a file, or of a folder's files and the cameras.json beside it; and the newest time."""
-    if os.path.isdir(path):
-        files = sorted(_files(path))
-        beside = os.path.join(os.path.dirname(path), "cameras.json")
-        if os.path.isfile(beside):
-            files.append(("../cameras.json", os.stat(beside)))
-    else:
-        files = [("", os.stat(path))]
+    """One hash of names and stamps of a file, or of a folder's files, and the cameras.json beside it; and the newest time."""
+    files = sorted(_files(path)) if os.path.isdir(path) else [("", os.stat(path))]
+    beside = os.path.join(os.path.dirname(path), "cameras.json")
+    if os.path.isfile(beside):
+        files.append(("../cameras.json", os.stat(beside)))
     digest = hashlib.sha256()
     for name, found in files:
         digest.update(f"{name}\0{_stamp(found)}\0".encode("utf-8", "surrogateescape"))

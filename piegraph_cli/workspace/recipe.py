@@ -53,7 +53,8 @@ class Recipe:
         section |= {name: place for name, place in checked.placed(base).items() if name in values}
         for name, several in checked:
             if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
-                section[name] = [str((base / file).resolve()) for file in several]
+                places = [str((base / file).resolve()) for file in several]
+                section[name] = places if isinstance(section[name], list) else places[0]
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:

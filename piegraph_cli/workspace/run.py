@@ -3,12 +3,12 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
 from piegraph_cli.files import atomic_file
@@ -21,6 +21,10 @@ from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
 
 _as_json = json.JSONEncoder(sort_keys=True).encode
 
+Found = TypeVar("Found")
+BLOCK = 1 << 20
+"""Bytes of a file that are read at a time."""
+
 FROM_OTHERS = "what it was made from has changed"
 
 
@@ -31,8 +35,6 @@ class _Settings:
     params: Params
     content: dict[str, Any]
     files: dict[str, Path]
-    folders: frozenset[str]
-    """Those of the files that are folders."""
     gone: bool
     """Whether a file is not there."""
 
@@ -53,6 +55,7 @@ class Run:
     _settings: dict[tuple[str, Unit], "_Settings"] = field(default_factory=dict)
     _units: dict[str, list[Unit]] = field(default_factory=dict)
     _beside: dict[Path, "Run"] = field(default_factory=dict)
+    _found: dict[str, Any] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy in another process works its keys out anew."""
@@ -73,6 +76,12 @@ class Run:
         if folder not in self._beside:
             self._beside[folder] = Run.open(folder, self.recipe.table)
         return self._beside[folder]
+
+    def once(self, stage: str, find: Callable[["Run"], Found]) -> Found:
+        """What a stage has to look up of this run to name its units, found once."""
+        if stage not in self._found:
+            self._found[stage] = find(self)
+        return self._found[stage]
 
     def save_recipe(self) -> None:
         """Keep the recipe in force in the run folder."""
@@ -155,9 +164,8 @@ class Run:
         if slot not in self._settings:
             params = stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
             files = params.files()
-            folders = frozenset(name for name, path in files.items() if path.is_dir())
             gone = not all(path.exists() for path in files.values())
-            self._settings[slot] = _Settings(params, params.content(), files, folders, gone)
+            self._settings[slot] = _Settings(params, params.content(), files, gone)
         return self._settings[slot]
 
     def inputs(self, stage: Stage, unit: Unit) -> Inputs:
@@ -182,8 +190,7 @@ class Run:
             return kept
         settings = dict(of.content)
         for name, path in of.files.items():
-            source = path / unit if unit and name in of.folders else path
-            settings[name] = self.known.content(source, partial(content_hash, source, name))
+            settings[name] = self.known.content(path, partial(content_hash, path, name))
         for name, (path, artifact) in of.params.artifacts().items():
             header = self.known.header(os.path.abspath(path), str(path), artifact)
             settings[name] = header.key if header else None
@@ -287,7 +294,7 @@ def _place(artifact: str, unit: Unit) -> str:
 
 
 def content_hash(path: Path, setting: str) -> str:
-    """sha256 of a file, or of a folder's file names and contents together with a cameras.json beside the folder.
+    """sha256 of a file, or of a folder's file names and contents, together with a cameras.json beside it.
 
     Names that begin with a dot are nobody's.
     """
@@ -295,12 +302,24 @@ def content_hash(path: Path, setting: str) -> str:
     if path.is_dir():
         found = (p for p in path.rglob("*") if not any(part.startswith(".") for part in p.relative_to(path).parts))
         files = sorted(p for p in found if p.is_file())
-        files += [p for p in [path.parent / "cameras.json"] if p.is_file()]
     elif path.is_file():
         files = [path]
     else:
         raise DataError("no such file or folder", str(path), f"correct the setting {setting}")
+    files += [p for p in [path.parent / "cameras.json"] if p.is_file() and p != path]
     for file in files:
-        digest.update(file.relative_to(path.parent if path.is_dir() else file.parent).as_posix().encode() + b"\0")
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+        digest.update(file.relative_to(path.parent).as_posix().encode() + b"\0")
+        digest.update(_file_hash(file))
     return digest.hexdigest()
+
+
+def _file_hash(path: Path) -> bytes:
+    """sha256 of a file, which may be larger than the memory."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while part := file.read(BLOCK):
+                digest.update(part)
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror or error}", str(path), "give yourself the right") from None
+    return digest.digest()

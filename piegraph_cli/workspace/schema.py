@@ -19,6 +19,8 @@ class Field:
     """NaN marks what was not observed; otherwise every value must be finite."""
     ends: str = ""
     """Of offsets: the dataset they cut into parts. They start at 0, never fall, and end at its length."""
+    optional: bool = False
+    """Whether an artifact may do without."""
 
 
 FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
@@ -27,6 +29,7 @@ FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "star
 TEXT, LONG_TEXT = "S128", "S512"
 
 _TIME = Field("frame", "s", "float64")
+_OPENING = Field("frame", "m, or as recorded", "float64", nan=True, optional=True)
 _HAND_PATH = {
     "end_effector": Field("frame,xyz", "m", "float32", nan=True),
     "contact": Field("frame", "1", "bool"),
@@ -55,6 +58,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "color_offsets": Field("image_edge", "byte", "int64", ends="color"),
         "depth": Field("depth_byte", "encoded image", "uint8"),
         "depth_offsets": Field("image_edge", "byte", "int64", ends="depth"),
+        "mask": Field("mask_byte", "encoded image", "uint8", optional=True),
+        "mask_offsets": Field("image_edge", "byte", "int64", ends="mask", optional=True),
         "time": _TIME,
         "source_frame": Field("frame,camera", "1", "int64"),
         "camera_name": Field("camera", "text", TEXT),
@@ -63,6 +68,9 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "distortion": Field("camera,coefficient", "1", "float64"),
         "depth_scale": Field("camera", "m", "float64"),
         "T_world_camera": Field("camera,4,4", "m", "float64"),
+        "end_effector": Field("frame,xyz", "m", "float64", nan=True, optional=True),
+        "opening": _OPENING,
+        "stamp": Field("frame,camera", "s", "float64"),
         "check_name": Field("check", "text", TEXT),
         "check_camera": Field("check", "text", LONG_TEXT),
         "check_figure": Field("check", "see check_unit", "float64", nan=True),
@@ -79,6 +87,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "keypoints": Field("frame,landmark,xyz", "m", "float32", nan=True),
         "end_effector": Field("frame,xyz", "m", "float32", nan=True),
         "observed": Field("frame", "1", "bool"),
+        "source": Field("frame", "0 hand, 1 file, 2 what comes in", "uint8", optional=True),
+        "opening": _OPENING,
         "time": _TIME,
     },
     "masks": {

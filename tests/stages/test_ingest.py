@@ -105,6 +105,29 @@ def eight_bit_depth(folder):
     cv2.imwrite(str(folder / "front" / "depth" / "000001.png"), np.zeros((48, 64), np.uint8))
 
 
+def unknown_camera(folder):
+    shutil.copytree(folder / "front", folder / "right")
+
+
+def depth_of_floats(folder):
+    for path in (folder / "front" / "depth").iterdir():
+        path.unlink()
+        np.save(path.with_suffix(".npy"), np.ones((48, 64), np.float32))
+
+
+def exchanged_bytes(folder):
+    import cv2
+
+    for frame, path in enumerate(sorted((folder / "front" / "depth").iterdir())):
+        smooth = np.linspace(500 + frame, 900, 64 * 48).reshape(48, 64).astype(np.uint16)
+        cv2.imwrite(str(path), smooth.byteswap())
+
+
+def cut_image(folder):
+    path = folder / "front" / "color" / "000002.jpg"
+    path.write_bytes(path.read_bytes()[:-200])
+
+
 def late_camera(folder):
     path = folder / "left cam" / "timestamps.txt"
     path.write_text("".join(f"{float(t) + 0.09}\n" for t in path.read_text().split()))
@@ -174,6 +197,10 @@ def no_extrinsic(folder):
 SINGULAR = [[1, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 BAD = [
     (remove_camera, "left cam is in cameras.json but has no folder"),
+    (unknown_camera, "camera right has a folder but is not in cameras.json"),
+    (depth_of_floats, "front/depth: holds 000000.npy, and no .png files"),
+    (exchanged_bytes, "camera front: the two bytes of depth are exchanged (big-endian), frame 0"),
+    (cut_image, "camera front, frame 000002 cannot be decoded"),
     (a_time_too_many, "camera left cam has 4 frames and 6 time stamps"),
     (same_number_twice, "000002.jpg and 2.jpg are the same frame"),
     (no_number_in_the_name, "image two.jpg has no number in its name"),

@@ -132,7 +132,7 @@ def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
     path = tmp_path / "r.toml"
     path.write_text('[ingest]\nrecording = "rec"\n[plan]\ngoal = "rec/goal.ply:3"\n')
     recipe = load_recipe(path, STAGES)
-    assert recipe.params(STAGES["ingest"]).recording == tmp_path / "rec"
+    assert recipe.params(STAGES["ingest"]).recording == (tmp_path / "rec",)
     assert recipe.params(STAGES["plan"]).goal == f"{tmp_path}/rec/goal.ply:3"
 
 

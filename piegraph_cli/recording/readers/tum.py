@@ -11,9 +11,10 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.film import Film
+from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import check_transform, image_size
-from piegraph_cli.recording.timing import check_times, nearest
+from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.timing import check_times, matched
 
 DEPTH_SCALE = 1 / 5000
 SKEW = 0.02
@@ -27,24 +28,22 @@ PUBLISHED = {
 }
 
 
-def read(folder: Path) -> tuple[list[Film], list[str]]:
+def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     """The film of a sequence folder, and warnings."""
     (times, color), (depth_times, depth) = _read_list(folder / "rgb.txt"), _read_list(folder / "depth.txt")
     gaps = check_times(times, str(folder / "rgb.txt"))
     check_times(depth_times, str(folder / "depth.txt"))
-    partner = nearest(times, depth_times)
-    mutual = nearest(depth_times, times)[partner] == np.arange(len(times))
-    paired = np.flatnonzero(mutual & (np.abs(depth_times[partner] - times) <= SKEW))
+    paired, partner = matched(times, depth_times, SKEW)
     if len(paired) < len(times) / 2:
         message = f"{len(paired)} of {len(times)} colour images have a depth image within {SKEW:g} s"
         raise DataError(message, str(folder), "check the times in rgb.txt and depth.txt")
     if len(paired) < len(times):
         gaps.append(f"{len(times) - len(paired)} colour images without a depth image within {SKEW:g} s left out")
-    files = [(color[k], depth[partner[k]]) for k in paired]
+    files = [(color[k], depth[n]) for k, n in zip(paired, partner, strict=True)]
     K, distortion = _intrinsics(folder)
     width, height = image_size(files[0][0], "rgb")
     camera = Camera("rgb", width, height, K, distortion, _pose(folder, times[paired]), DEPTH_SCALE)
-    return [Film(camera, times[paired], files, paired.astype(np.int64))], gaps
+    return [Film(camera, times[paired], ImageFiles(camera, files), paired.astype(np.int64))], gaps
 
 
 def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:

@@ -116,13 +116,13 @@ class Follower:
     def _follow(self, soft: SoftAssignment, cloud: Tensor, views: Sequence[View], grip: "Grip") -> tuple[Tensor, float]:
         """The weight [N] of each particle in a cloud [P, 6], and the misfit; the object is sought where it was lost."""
         before = self.positions
+        limit = LOST * float(np.median(self.usual))
         searched = self.lost or self.share < RARELY_SEEN
         if searched:
-            self.positions = find(soft, before, cloud, views, self.upright)
+            self.positions = find(soft, before, cloud, views, self.upright, limit)
         weight, fit = self._carry(soft, cloud, views, grip)
-        limit = LOST * float(np.median(self.usual))
         if fit > limit and not searched:
-            self.positions = find(soft, before, cloud, views, self.upright)
+            self.positions = find(soft, before, cloud, views, self.upright, limit)
             weight, fit = self._carry(soft, cloud, views, grip)
         self.lost = fit > limit and not grip.holds
         if self.lost:

@@ -125,7 +125,7 @@ def stubs(scene):
         patch.setattr(simulate, "make_environment", lambda *given: given)
         patch.setattr(rendering, "record", record)
         patch.setattr(rendering, "truth_arrays", lambda environment, frames: truth_of(scene, frames))
-        patch.setattr(rig, "camera_rig", lambda: scene.cameras)
+        patch.setattr(rig, "camera_rig", lambda count=4: scene.cameras)
         patch.setattr(hands_of_environments, "load_hand", lambda: "the hand")
         patch.setattr(hands, "detect_hands", detect)
         patch.setattr(seeds, "find_object", find)

@@ -30,6 +30,7 @@ EVERY, FINE = 2, 6  # which points of the surface are aligned at last, in how ma
 EXPLAINED = 0.012  # metres from the carried surface, beyond which a point is of something else, or newly in view
 NOISE = 0.002  # metres that noise adds to the misfit of the first frame, whose points the particles are
 ODD, LOST = 1.5, 2.0  # times the usual misfit, beyond which a frame is not usual, and the object is lost
+LEAP = 0.1  # metres in a frame, further than a hand moves anything: a thing that looks alike from two sides was turned
 RARELY_SEEN = 0.35  # share of the particles; where fewer were seen, the object is looked for anew when more are
 
 
@@ -124,7 +125,8 @@ class Follower:
         if fit > limit and not searched:
             self.positions = find(soft, before, cloud, views, self.upright, limit)
             weight, fit = self._carry(soft, cloud, views, grip)
-        self.lost = fit > limit and not grip.holds
+        leapt = float((self.positions - before).norm(dim=1).mean()) > LEAP and not searched
+        self.lost = (fit > limit or leapt) and not grip.holds
         if self.lost:
             self.positions, self.share = before, 0.0
             return torch.zeros_like(weight), fit

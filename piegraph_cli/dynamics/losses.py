@@ -14,7 +14,8 @@ def dynamics_loss(
 ) -> torch.Tensor:
     """Mean squared particle error plus `shape_weight` times the summed squared error of neighbour offsets, in dm^2.
 
-    predicted, target [B, N, 3] (m); neighbors [B, N, k]; seen [B, N], particles that count (default: all). Source: paper, Eq. 6-8.
+    predicted, target [B, N, 3] (m); neighbors [B, N, k]; seen [B, N]: particles that count, all by default. Source: paper,
+    Eq. 6-8.
     """
     error = (predicted - target) * DECIMETRE
     bent = (error[:, :, None] - gather_neighbors(error, neighbors)).square().sum(-1)

@@ -41,14 +41,22 @@ def window_metrics(
                 continue
             found, target = positions[window].cpu().numpy(), sequence["after"][last]
             known = sequence["seen"][0, window] & sequence["seen"][1, last]
-            joined = edges[known[edges].all(1)]
-            if not len(joined):
+            metrics = _measured(found, target, known, edges)
+            if metrics is None:
                 continue
-            metrics = [
-                chamfer_distance(found[known], target[known]),
-                shape_error(found, target, joined),
-                particle_distance(found[known], target[known]),
-            ]
             at_end = None if true is None else true[sequence["frames"][last, 1]]
             metrics.append(float("nan") if at_end is None else particle_distance(found, at_end))
             yield horizon, window, *metrics
+
+
+def _measured(found: np.ndarray, target: np.ndarray, known: np.ndarray, edges: np.ndarray) -> list[float] | None:
+    """CD, S and PD over the particles that are known [N]; None where no two of them are joined by an edge."""
+    joined = edges[known[edges].all(1)]
+    if not len(joined):
+        return None
+    found_known, target_known = found[known], target[known]
+    return [
+        chamfer_distance(found_known, target_known),
+        shape_error(found, target, joined),
+        particle_distance(found_known, target_known),
+    ]

@@ -1,6 +1,7 @@
 """Which observed points belong to which particle: rigid alignment, then soft assignment calibrated in the first frame.
 
-One state at a time, in PyTorch. A surface is a place and a unit normal per point, [P, 6]. What is done with the setpoints found here is in `tracking`.
+One state at a time, in PyTorch. A surface is a place and a unit normal per point, [P, 6]. What is done with the
+setpoints found here is in `follower`.
 """
 
 import numpy as np

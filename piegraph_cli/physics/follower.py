@@ -28,8 +28,9 @@ SETTLED = 1e-4  # metres; assignment goes on to the next scale once no particle 
 RIGID_ENOUGH = 1.05  # times the misfit of the deformed shape up to which the undeformed one is taken
 EVERY, FINE = 2, 6  # which points of the surface are aligned at last, in how many rounds
 EXPLAINED = 0.012  # metres from the carried surface, beyond which a point is of something else, or newly in view
-USUAL = 0.0045  # metres between particles and cloud, both ways, before a recording has told its own
+NOISE = 0.002  # metres that noise adds to the misfit of the first frame, whose points the particles are
 ODD, LOST = 1.5, 2.0  # times the usual misfit, beyond which a frame is not usual, and the object is lost
+LEAP = 0.1  # metres in a frame, further than a hand moves anything: a thing that looks alike from two sides was turned
 RARELY_SEEN = 0.35  # share of the particles; where fewer were seen, the object is looked for anew when more are
 
 
@@ -70,15 +71,18 @@ class Follower:
             self.density = min(1.0, params.points / len(cloud))
             surface = self._surface(cloud, views)
             self.soft = SoftAssignment(self.positions, surface, params.scales)
-            self.usual = [USUAL]
+            everything = torch.ones(len(first), dtype=torch.bool)
+            self.usual = [misfit(self._particles(), surface, everything) + NOISE]
 
     def at(self, frame: int, cloud: np.ndarray, views: Sequence[View], grip: "Grip") -> Found:
         """Move on to the next cloud [P, 3] (m). In the first frame the particles are as chosen."""
         grip.update(frame, self.positions)
         held = len(cloud) < FEWEST_POINTS
         weight, fit = torch.ones(len(self.positions)), 0.0
+        if self.soft is not None:
+            fit = self.usual[0]
         if held:
-            weight, self.share = self._hold(grip), 0.0
+            weight, fit, self.share = self._hold(grip), 0.0, 0.0
         elif frame > 0 and self.soft is not None:
             weight, fit = self._follow(self.soft, self._surface(cloud, views), views, grip)
         elif frame > 0:
@@ -113,15 +117,16 @@ class Follower:
     def _follow(self, soft: SoftAssignment, cloud: Tensor, views: Sequence[View], grip: "Grip") -> tuple[Tensor, float]:
         """The weight [N] of each particle in a cloud [P, 6], and the misfit; the object is sought where it was lost."""
         before = self.positions
+        limit = LOST * float(np.median(self.usual))
         searched = self.lost or self.share < RARELY_SEEN
         if searched:
-            self.positions = find(soft, before, cloud, views, self.upright)
+            self.positions = find(soft, before, cloud, views, self.upright, limit)
         weight, fit = self._carry(soft, cloud, views, grip)
-        limit = LOST * float(np.median(self.usual))
         if fit > limit and not searched:
-            self.positions = find(soft, before, cloud, views, self.upright)
+            self.positions = find(soft, before, cloud, views, self.upright, limit)
             weight, fit = self._carry(soft, cloud, views, grip)
-        self.lost = fit > limit and not grip.holds
+        leapt = float((self.positions - before).norm(dim=1).mean()) > LEAP and not searched
+        self.lost = (fit > limit or leapt) and not grip.holds
         if self.lost:
             self.positions, self.share = before, 0.0
             return torch.zeros_like(weight), fit

@@ -2,7 +2,7 @@
 
 Two ways to find the setpoint of a frame: soft assignment (`soft`, the default) and the paper's nearest observed point
 (`nearest`). The residual of both only says how near the particles lie to the cloud: particles that slid along the
-surface have a small one too, so it is no measure of accuracy.
+surface have a small one too, so it is no measure of accuracy; `doubt` is the figure to go by.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -17,6 +17,7 @@ from piegraph_cli.physics.follower import Follower, Grip
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.physics.springs import SpringGraph, build_springs
+from piegraph_cli.physics.trust import expected_error
 from piegraph_cli.physics.visibility import View
 
 LEAST_RADIUS = 0.03  # metres, of the springs
@@ -31,13 +32,15 @@ class TrackResult:
     residual: np.ndarray
     """[F] float32, metres: mean distance from a seen particle to the nearest point of the cloud; 0 in held frames."""
     weight: np.ndarray
-    """[F, N] float32 in 0..1: how much of what a particle saw in the first frame it still sees; 0 for hidden particles and in held frames."""
+    """[F, N] float32 in 0..1: how much of what a particle saw in the first frame it still sees; 0 where it is hidden."""
     misfit: np.ndarray
     """[F] float32, metres between particles and cloud, both ways; 0 in held frames."""
     held: np.ndarray
     """[F] bool: frames without a usable cloud, in which the particles stayed where they were."""
     lost: np.ndarray
     """[F] bool: frames whose cloud is not explained by the object, wherever it is put: the particles stayed."""
+    doubt: np.ndarray
+    """[F] float32, metres: how far off the particles are expected to be, see `trust`."""
     springs: SpringGraph
     """Springs of the returned particles, at rest in the first frame."""
 
@@ -61,9 +64,9 @@ def track(
     """Follow material points of an object through its clouds, [P_f, 3] metres each, table at z = 0.
 
     hand [F, 3] metres, grasp [F] bool: while grasp holds, the particles within 2 cm of where the hand closed move as
-    the hand does. progress wraps the clouds (tqdm, say). views: per
-    frame what each camera sees; without them everything counts as seen. A frame of fewer than 20 points is held. Raises DataError
-    for non-finite points, naming the frame, and for a first cloud with too few of them.
+    the hand does. progress wraps the clouds (tqdm, say). views: per frame what each camera sees; without
+    them everything counts as seen. A frame of fewer than 20 points is held. Raises DataError for non-finite points,
+    naming the frame, and for a first cloud with too few of them.
 
     Source: paper, III-D and Eq. 4. `soft` is ours: with the nearest point, chosen once a frame, particles slide along
     the surface and lose the object's motion by centimetres.
@@ -78,7 +81,8 @@ def track(
     held, lost = (np.array([getattr(f, name) for f in frames]) for name in ("held", "lost"))
     shown = slice(params.particles)
     springs = build_springs(positions[0, shown], spring_radius(positions[0, shown]))
-    return TrackResult(positions[:, shown], residual, weight[:, shown], misfit, held, lost, springs)
+    doubt = expected_error(positions, weight, misfit, held | lost)
+    return TrackResult(positions[:, shown], residual, weight[:, shown], misfit, held, lost, doubt, springs)
 
 
 def _check(clouds: Sequence[np.ndarray], hand: np.ndarray | None, grasp: np.ndarray | None) -> None:

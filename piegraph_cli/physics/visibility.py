@@ -17,6 +17,9 @@ EDGE = 2
 AROUND = 24
 """Points that tell how the surface lies at one of them."""
 
+FAINT = 1e-3
+"""Weight of that guess beside a camera's."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -74,12 +77,13 @@ def look_from(points: np.ndarray, view: View) -> Sight:
 def normals(cloud: np.ndarray, points: np.ndarray, views: Sequence[View]) -> np.ndarray:
     """Unit normals [P, 3] float32 of a cloud [Q, 3] (m) at some of its points [P, 3], towards the cameras that see them.
 
-    Without views they point up. Source: Hoppe et al. (1992), the plane of the nearest points.
+    Without views they point up and away from the middle. Source: Hoppe et al. (1992), the plane of the nearest points.
     """
     near = cloud[cKDTree(cloud).query(points, k=min(AROUND, len(cloud)))[1]]
     about = near - near.mean(1, keepdims=True)
     normal = np.linalg.eigh(np.einsum("pki,pkj->pij", about, about))[1][:, :, 0]
-    towards = np.tile([0.0, 0.0, 1e-3], (len(points), 1))
+    outward = points - cloud.mean(0)
+    towards = FAINT * (np.array([0.0, 0.0, 1.0]) + outward / np.linalg.norm(outward, axis=1, keepdims=True).clip(1e-9))
     for view in views:
         to_camera = view.camera.T_world_camera[:3, 3] - points
         shown = look_from(points, view).seen[:, None]

@@ -79,7 +79,8 @@ def _left_out(found: "Mapping[str, Found]") -> tuple[list[str], list[str]]:
         quality.append(f"left out, object not seen: {strokes} strokes, {pairs} pairs")
         where = ", ".join(f"{name} ({of.unseen} frames)" for name, of in unseen.items())
         warnings.append(
-            f"{frames} frames see too little of the object or are not trusted, so {strokes} strokes and {pairs} pairs are left out: {where}; "
+            f"{frames} frames see too little of the object or are not trusted, so {strokes} strokes and {pairs} pairs are "
+            f"left out: {where}; "
             "look at the clouds with `piegraph report`, or lower min_seen"
         )
     hidden = float(np.mean([of.particles_unseen for of in found.values()]))

@@ -49,18 +49,18 @@ def source_frames(frames: Artifact) -> np.ndarray:
     return frames["source_frame"][:, 0]
 
 
-class Views(Sequence):
+class Views(Sequence["list[View]"]):
     """Per frame what each camera sees, decoded when it is asked for."""
 
     def __init__(self, frames: Artifact, masks: Artifact):
         self.cameras, self.depth = cameras_of(frames), depth_of(frames)
         self.mask = ImageStack(masks["mask"], masks["mask_offsets"], len(self.cameras), "mask")
-        self.count = len(frames["time"])
+        self.frames = len(frames["time"])
 
     def __len__(self) -> int:
-        return self.count
+        return self.frames
 
-    def __getitem__(self, frame) -> "list[View]":
+    def __getitem__(self, frame):
         from piegraph_cli.physics.visibility import View
 
         every = enumerate(self.cameras)

@@ -1,8 +1,7 @@
-"""Benchmarks of planning, tracking, training and perception."""
+"""Benchmarks of planning, tracking and training."""
 
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,7 +15,6 @@ from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_pre
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams, LearningParams
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Trainer
-from piegraph_cli.errors import UsageError
 from piegraph_cli.params import PUSH
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
@@ -25,11 +23,7 @@ from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
 from piegraph_cli.planning.search import Search
-from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.stages.simulate import make_environment
-from piegraph_cli.workspace.artifact import read_artifact
-from piegraph_cli.workspace.execute import Checkpoint
-from piegraph_cli.workspace.stage import Context
 
 AT_REST = 1e-3
 """Metres. The springs of a plan stop when all of their group are at rest, and groups differ from the reference's."""
@@ -180,26 +174,3 @@ def carried_sequences() -> Sequences:
         pairs=pairs,
         pair_stroke=np.repeat(np.arange(STROKES), len(pairs) // STROKES),
     )
-
-
-def perception_rows(folder: Path | None) -> Iterator[Row]:
-    """A frame of all cameras through the stages of a run's first sequence, whose results must come out again."""
-    assert folder is not None
-    run = open_run(folder)
-    names = sequences(run)
-    for name in ("hands", "segment", "fuse", "track"):
-        stage = STAGES[name]
-        if not names or not run.path(stage.writes, names[0]).is_file():
-            raise UsageError(
-                f"{folder} has no {stage.writes} to compare with", "bench perception", f"piegraph run --run {folder}"
-            )
-        inputs = {read: read_artifact(run.path(read, names[0]), read) for read in stage.reads}
-        context = Context(run, names[0], "cpu", Checkpoint(run.checkpoint(stage, names[0]), stage, ""), True)
-        begin = time.perf_counter()
-        output = stage.load()(inputs, run.settings(stage, names[0]), context)
-        seconds = time.perf_counter() - begin
-        stored = read_artifact(run.path(stage.writes, names[0]), stage.writes)
-        same = all(np.allclose(stored[k], v, 1e-3, 1e-4, equal_nan=True) for k, v in output.arrays.items())
-        frames = len(output.arrays["time"]) if "time" in output.arrays else len(output.arrays["positions"])
-        case = f"{name}, a frame" + ("" if same else ", not as stored")
-        yield Row("perception", case, seconds / frames)

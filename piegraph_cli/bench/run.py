@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from piegraph_cli.bench import gpu
 from piegraph_cli.bench.kernels import network_rows, spring_rows
 from piegraph_cli.bench.measure import Row, cache_rate, machine_rows, peak
-from piegraph_cli.bench.pipeline import perception_rows, plan_rows, track_rows, train_rows
+from piegraph_cli.bench.perception import check_checkout, perception_rows
+from piegraph_cli.bench.pipeline import plan_rows, track_rows, train_rows
 from piegraph_cli.bench.workspace import workspace_rows
 from piegraph_cli.errors import UsageError
 from piegraph_cli.process import set_up_torch
@@ -18,8 +19,11 @@ from piegraph_cli.process import set_up_torch
 PICTURES = (".png", ".svg")
 
 
-def run_benchmarks(subjects: list[str], run: Path | None) -> Iterator[Row]:
-    """Rows of the machine, then of each subject; of all of them where none is named. `perception` needs a run."""
+def run_benchmarks(subjects: list[str], run: Path | None, against: Path | None = None) -> Iterator[Row]:
+    """Rows of the machine, then of each subject; of all of them where none is named. `perception` needs a run.
+
+    It is compared with another commit in the checkout `against`.
+    """
     set_up_torch()
     known: dict[str, Callable[[], Iterator[Row]]] = {
         "sms": spring_rows,
@@ -28,13 +32,15 @@ def run_benchmarks(subjects: list[str], run: Path | None) -> Iterator[Row]:
         "track": track_rows,
         "train": train_rows,
         "workspace": workspace_rows,
-        "perception": partial(perception_rows, run),
+        "perception": partial(perception_rows, run, against),
     }
     unknown = [subject for subject in subjects if subject not in known]
     if unknown:
         raise UsageError(f"no benchmark {unknown[0]}", "bench", f"one of {', '.join(known)}")
     if "perception" in subjects and run is None:
         raise UsageError("a run with hands, masks, clouds and tracks is needed", "bench perception", "--run RUN")
+    if against is not None:
+        check_checkout(against)
     yield from machine_rows()
     has_gpu = torch.cuda.is_available()
     if has_gpu:

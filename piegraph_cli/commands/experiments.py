@@ -52,18 +52,22 @@ def reproduce(
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
-        emit(_troubles(folder / "troubles", quick, set or (), envs, jobs), as_json)
-        return
+        return emit(_troubles(folder / "troubles", quick, set or (), envs, jobs), as_json)
     chosen = _chosen(experiment, quick, set or (), envs, data)
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
+    emit(_together(reports), as_json)
+
+
+def _together(reports: dict[str, Report]) -> Report:
+    """The reports of experiments, one after the other."""
     lines = [line for report in reports.values() for line in ("", *report.lines)]
     code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
-    emit(Report({name: report.value for name, report in reports.items()}, lines[1:], code), as_json)
+    return Report({name: report.value for name, report in reports.items()}, lines[1:], code)
 
 
 def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jobs: int) -> Report:
-    """Recordings that are wrong on purpose, and what is said of them; fails where good ones are not left alone."""
+    """Recordings that are wrong on purpose, and what is said of them."""
     from piegraph_cli.experiments.params import QUICK_TROUBLES, TroublesParams
     from piegraph_cli.experiments.recipes import with_changes
     from piegraph_cli.experiments.troubles import run_troubles, write_troubles

@@ -73,6 +73,9 @@ def bench(
         ),
     ] = None,
     run: Annotated[Path | None, typer.Option(help="run folder with a recording's results, for perception")] = None,
+    against: Annotated[
+        Path | None, typer.Option(help="checkout of another commit with a .venv, to compare perception with")
+    ] = None,
     roofline: Annotated[Path | None, typer.Option(help="picture (.png, .svg) of the kernels' rates")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -87,7 +90,9 @@ def bench(
 
     if roofline is not None:
         check_picture(roofline)
-    rows = list(tqdm(run_benchmarks(list(subjects or ()), run), desc="bench", unit=" rows", leave=False, disable=None))
+    rows = list(
+        tqdm(run_benchmarks(list(subjects or ()), run, against), desc="bench", unit=" rows", leave=False, disable=None)
+    )
     if roofline is not None:
         draw_roofline(rows).savefig(roofline, dpi=150)
     emit(Report({"rows": [row.as_dict() for row in rows]}, table(rows)), as_json)

@@ -97,6 +97,9 @@ class DatasetParams(Params):
     min_stroke: float = Field(0.01, ge=0.001, description="shortest stroke that is kept [m]")
     max_bend: float = Field(0.025, gt=0, description="a push that strays further from a straight line is cut there [m]")
     min_seen: float = Field(0.5, ge=0, le=1, description="frames in which less of the object is seen are no examples")
+    max_doubt: float = Field(
+        0.03, gt=0, description="frames whose tracks are expected to be further off are no examples [m]"
+    )
     seed: int = Field(0, ge=0, description="seed of the split")
     train_names: Names = Field((), description="sequences to train on, by name, in place of numbers")
     validation_names: Names = Field((), description="sequences to choose the checkpoint on, by name")

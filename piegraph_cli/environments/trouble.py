@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -89,22 +88,30 @@ class Cover:
     """An opaque box over half of the object."""
 
     half: np.ndarray
-    """The vertices of the surface that it hides."""
+    """Vertices of the surface that are in the half it hides."""
 
     @classmethod
     def of(cls, surface: np.ndarray) -> "Cover":
         """Over one half along the longest axis of a surface [V, 3] (m)."""
-        flat = surface[:, :2] - surface[:, :2].mean(0)
-        along = flat @ np.linalg.eigh(flat.T @ flat)[1][:, -1]
+        along = _axes(surface)[:, 0] @ surface[:, :2].T
         return cls(np.flatnonzero(along > (along.min() + along.max()) / 2))
 
     def part(self, surface: np.ndarray) -> Part:
-        """The box where the surface [V, 3] (m) is now."""
-        covered = surface[self.half]
-        rectangle = cv2.minAreaRect(covered[:, :2].astype(np.float32))
-        (x, y), (wide, long), angle = rectangle
-        size = np.array([wide + 2 * _COVER, long + 2 * _COVER, covered[:, 2].max() + _COVER])
-        return _box(np.array([x, y]), size, np.radians(angle), _OTHER_COLOR)
+        """The box where the surface [V, 3] (m) is now: over the half of its rectangle in which these vertices are."""
+        axes = _axes(surface)
+        flat = surface[:, :2] @ axes
+        low, high = flat.min(0) - _COVER, flat.max(0) + _COVER
+        middle = (low[0] + high[0]) / 2
+        low[0], high[0] = (middle, high[0]) if flat[self.half, 0].mean() > middle else (low[0], middle)
+        size = np.append(high - low, surface[:, 2].max() + _COVER)
+        return _box(axes @ (low + high) / 2, size, np.arctan2(axes[1, 0], axes[0, 0]), _OTHER_COLOR)
+
+
+def _axes(surface: np.ndarray) -> np.ndarray:
+    """The longest axis of a surface [V, 3] seen from above, and the one across it, as columns [2, 2] of a rotation."""
+    flat = surface[:, :2].astype(float) - surface[:, :2].mean(0)
+    x, y = np.linalg.eigh(flat.T @ flat)[1][:, -1]
+    return np.array([[x, -y], [y, x]])
 
 
 def still_parts(

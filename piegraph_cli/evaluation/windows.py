@@ -21,8 +21,8 @@ def window_metrics(
     """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
 
     `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2], and whether each stroke follows [S] on
-    the one before with nothing unknown in between: where one does not, no window goes on. `true` [F, N, 3] (m) or None. The
-    model predicts on `device`.
+    the one before with nothing unknown in between: where one does not, no window goes on. Particles that were not `seen`
+    [2, S, N] before the window or after it do not count. `true` [F, N, 3] (m) or None. The model predicts on `device`.
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
@@ -40,11 +40,23 @@ def window_metrics(
             if not sequence["follows"][window + 1 : last + 1].all():
                 continue
             found, target = positions[window].cpu().numpy(), sequence["after"][last]
-            metrics = [
-                chamfer_distance(found, target),
-                shape_error(found, target, edges),
-                particle_distance(found, target),
-            ]
+            known = sequence["seen"][0, window] & sequence["seen"][1, last]
+            metrics = _measured(found, target, known, edges)
+            if metrics is None:
+                continue
             at_end = None if true is None else true[sequence["frames"][last, 1]]
             metrics.append(float("nan") if at_end is None else particle_distance(found, at_end))
             yield horizon, window, *metrics
+
+
+def _measured(found: np.ndarray, target: np.ndarray, known: np.ndarray, edges: np.ndarray) -> list[float] | None:
+    """CD, S and PD over the particles that are known [N]; None where no two of them are joined by an edge."""
+    joined = edges[known[edges].all(1)]
+    if not len(joined):
+        return None
+    found_known, target_known = found[known], target[known]
+    return [
+        chamfer_distance(found_known, target_known),
+        shape_error(found, target, joined),
+        particle_distance(found_known, target_known),
+    ]

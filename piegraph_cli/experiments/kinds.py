@@ -94,17 +94,22 @@ _OFF = "the pose of cam1 is off|cam1 alone disagrees|the pose of cam1$"
 
 def kinds() -> list[Kind]:
     """All of them, two strengths each."""
-    poses = [
+    times = [
+        Kind("units of time", "ms", "are these milliseconds", times=lambda t: 1e3 * t),
+        Kind("units of time", "ns", "are these nanoseconds", times=lambda t: 1e9 * t),
+    ]
+    made = [Kind(name, strength, cause, change) for name, strength, cause, change in [*_of_poses(), *_of_depth()]]
+    return [*made, *_rendered(), *times]
+
+
+def _of_poses() -> list[tuple[str, str, str, Change]]:
+    return [
         ("poses inverted", "all cameras", "inverting T_world_camera", _posed(np.linalg.inv)),
         ("poses inverted", "one camera", "^cam1: .*inverting T_world_camera", _posed(np.linalg.inv, [1])),
         ("poses exchanged", "two cameras", "cam0 and cam2 swapped", _exchanged({0: 2, 2: 0})),
         ("poses exchanged", "three cameras", "poses exchanged: cam0", _exchanged({0: 1, 1: 2, 2: 0})),
-        ("depth too long or short", "+5 %", r"size off by \+(4.9|5.0)", _deep(lambda d: d * 1.05)),
-        ("depth too long or short", "-2 %", r"size off by -(1.9|2.0|2.1)", _deep(lambda d: d * 0.98)),
         ("table off", "10 mm high", "the table lies 10 mm above", _posed(_moved(0, 0, 0.01))),
         ("table off", "30 mm low", "the table lies 30 mm below", _posed(_moved(0, 0, -0.03))),
-        ("units of depth", "quarter mm", "depth_scale 0.00025", _deep(lambda d: d * 4.0)),
-        ("units of depth", "whole m", "no reading above [1-3] units; metres", _deep(lambda d: np.rint(d / 1000))),
         ("units of poses", "mm", "taking the poses as millimetres", _posed(_stretched(1000))),
         (
             "units of poses",
@@ -122,10 +127,22 @@ def kinds() -> list[Kind]:
         ("one camera turned about the vertical", "3 deg", _OFF, _posed(_turned(2, 3, own=False), [1])),
         ("one camera shifted along the table", "15 mm", _OFF, _posed(_moved(0.009, 0.012, 0), [1])),
         ("one camera shifted along the table", "25 mm", _OFF, _posed(_moved(0.015, -0.02, 0), [1])),
+    ]
+
+
+def _of_depth() -> list[tuple[str, str, str, Change]]:
+    return [
+        ("depth too long or short", "+5 %", r"size off by \+(4.9|5.0)", _deep(lambda d: d * 1.05)),
+        ("depth too long or short", "-2 %", r"size off by -(1.9|2.0|2.1)", _deep(lambda d: d * 0.98)),
+        ("units of depth", "quarter mm", "depth_scale 0.00025", _deep(lambda d: d * 4.0)),
+        ("units of depth", "whole m", "no reading above [1-3] units; metres", _deep(lambda d: np.rint(d / 1000))),
         ("depth beside colour", "9 px", r"moving depth by -([89]|10), ", _deep(lambda d: np.roll(d, 9, 1))),
         ("depth beside colour", "15 px", r"moving depth by -1[456], ", _deep(lambda d: np.roll(d, 15, 1))),
     ]
-    found = [Kind(name, strength, cause, change) for name, strength, cause, change in poses]
+
+
+def _rendered() -> list[Kind]:
+    found = []
     every = (0, 1, 2, 3)
     for aside in (0.03, 0.059):
         rendered = TroubleParams(aside=aside, of=every)
@@ -140,6 +157,4 @@ def kinds() -> list[Kind]:
     for late in (0.1, 0.4):
         cause = rf"clock of cam1 is {'0.(0[6-9]|1[0-4])' if late < 0.2 else '0.(3[4-9]|4[0-6])'} s late"
         found.append(Kind("one camera's clock", f"{late:g} s late", cause, trouble=TroubleParams(late=late, of=(1,))))
-    found.append(Kind("units of time", "ms", "are these milliseconds", times=lambda t: 1e3 * t))
-    found.append(Kind("units of time", "ns", "are these nanoseconds", times=lambda t: 1e9 * t))
     return found

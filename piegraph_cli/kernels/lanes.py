@@ -175,16 +175,20 @@ class Launch:
             size = (self.slots, self.threads)
             wp.launch(kernel, size, list(arguments), device=device, stream=stream, block_dim=self.threads)
             return
-        _load(kernel)
-        edges = [w * self.groups // self.slots for w in range(self.slots + 1)]
-        commands = [  # the work of Python is done first: threads that wait for each other there lose milliseconds
-            wp.launch(kernel, edges[w + 1] - edges[w], [edges[w], w, *arguments], device=device, record_cmd=True)
-            for w in range(self.slots)
-        ]
+        commands = self.commands(kernel, arguments)
         if self.slots == 1:
             commands[0].launch()
         else:
             list(_workers().map(wp.Launch.launch, commands))
+
+    def commands(self, kernel: wp.Kernel, arguments: Sequence[Any]) -> list[wp.Launch]:
+        """What a CPU does to run the kernel, one command per core; each can be given again while the arguments last."""
+        _load(kernel)
+        edges = [w * self.groups // self.slots for w in range(self.slots + 1)]
+        return [  # the work of Python is done first: threads that wait for each other there lose milliseconds
+            wp.launch(kernel, edges[w + 1] - edges[w], [edges[w], w, *arguments], device="cpu", record_cmd=True)
+            for w in range(self.slots)
+        ]
 
 
 @functools.cache

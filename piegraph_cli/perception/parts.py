@@ -221,6 +221,9 @@ def hue_and_light(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _opened(mask: np.ndarray) -> np.ndarray:
+    """A mask [H, W] without what is thinner than two pixels: a thin rope has no three."""
     import cv2
 
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)
+    kernel = np.ones((2, 2), np.uint8)
+    eroded = cv2.erode(mask.astype(np.uint8), kernel, anchor=(0, 0))
+    return cv2.dilate(eroded, kernel, anchor=(1, 1)).astype(bool)

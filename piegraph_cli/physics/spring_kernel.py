@@ -5,6 +5,7 @@ candidates stops when all of it is at rest, whatever the others do.
 """
 
 import functools
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -639,39 +640,68 @@ def guide(
     if not recording():
         check_guidance(positions, setpoint, graph, params, weights)
     weights = torch.ones_like(positions[..., 0]) if weights is None else weights
-    return _drive(positions, torch.zeros_like(positions), setpoint, weights, graph, params)
+    out = torch.empty(positions.shape, device=positions.device)
+    tensors = [a.contiguous() for a in (positions, setpoint, weights[..., None])]
+    launch, kernel, arguments = _guidance(*tensors, torch.zeros_like(tensors[0]), out, graph, params)
+    launch.run(kernel, arguments)
+    return out
 
 
 def drive(
     positions: Tensor, velocity: Tensor, setpoint: Tensor, graph: SpringGraph, params: GuidanceParams, weights: Tensor
 ) -> tuple[Tensor, Tensor]:
     """`physics.simulation.drive` in float32, without gradients: positions and velocity [N, 3] afterwards."""
+    if positions.device.type == "cpu":
+        return _drive_of(graph, params, threading.get_ident())(positions, velocity, setpoint, weights)
     velocity = velocity.clone()
-    out = _drive(positions[None], velocity[None], setpoint[None], weights[None], graph, params)
-    return out[0], velocity
-
-
-def _drive(
-    positions: Tensor, velocity: Tensor, setpoint: Tensor, weights: Tensor, graph: SpringGraph, params: GuidanceParams
-) -> Tensor:
-    """Positions [B, N, 3] afterwards; velocity [B, N, 3] becomes that of the end. weights: [B, N]."""
-    launch = Launch(len(positions), positions.device, LANES, graph.particles * PARTS)
     out = torch.empty(positions.shape, device=positions.device)
-    scene = _scene(
-        positions=positions.contiguous(),
-        setpoint=setpoint.contiguous(),
-        weights=weights[..., None].contiguous(),
-        velocity=velocity,
-        out=out,
-    )
+    tensors = [a[None].contiguous() for a in (positions, setpoint, weights[:, None])]
+    launch, kernel, arguments = _guidance(*tensors, velocity[None], out[None], graph, params)
+    launch.run(kernel, arguments)
+    return out, velocity
+
+
+class _Drive:
+    """`drive` of one object on the CPU: a frame of tracking calls it 20 times, and preparing a launch takes longer than it."""
+
+    def __init__(self, graph: SpringGraph, params: GuidanceParams):
+        with torch.inference_mode(False):  # else they could not be written to outside of it
+            self.given = [torch.empty(1, graph.particles, columns) for columns in (3, 3, 1, 3)]
+            self.out = torch.empty(1, graph.particles, 3)
+        launch, kernel, self.arguments = _guidance(*self.given, self.out, graph, params)
+        (self.command,) = launch.commands(kernel, self.arguments)
+
+    def __call__(self, positions: Tensor, velocity: Tensor, setpoint: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        for own, given in zip(self.given, (positions, setpoint, weights[:, None], velocity), strict=True):
+            own[0].copy_(given)
+        self.command.launch()
+        return self.out[0].clone(), self.given[3][0].clone()
+
+
+@functools.lru_cache(maxsize=8)
+def _drive_of(graph: SpringGraph, params: GuidanceParams, thread: int) -> _Drive:
+    return _Drive(graph, params)
+
+
+def _guidance(
+    positions: Tensor,
+    setpoint: Tensor,
+    weights: Tensor,
+    velocity: Tensor,
+    out: Tensor,
+    graph: SpringGraph,
+    params: GuidanceParams,
+) -> tuple[Launch, wp.Kernel, list[Any]]:
+    """What to launch for positions, setpoint, velocity, out [B, N, 3] and weights [B, N, 1]; it changes the last two."""
+    launch = Launch(len(positions), positions.device, LANES, graph.particles * PARTS)
+    scene = _scene(positions=positions, setpoint=setpoint, weights=weights, velocity=velocity, out=out)
     numbers = Numbers()
     for name in ("stiffness", "damping", "friction", "gain", "integral", "integral_limit", "derivative"):
         setattr(numbers, name, getattr(params, name))
     numbers.iterations, numbers.tolerance = params.iterations, params.tolerance
     terms = _Terms(params.friction > 0, params.tension_only, params.integral > 0, params.derivative > 0)
     kernel = _guide_kernel(launch.lanes, terms) if launch.device.type == "cpu" else _guide_blocks(terms)
-    launch.run(kernel, [scene, _packed(graph, launch.device), _scratch(launch, graph.particles), numbers])
-    return out
+    return launch, kernel, [scene, _packed(graph, launch.device), _scratch(launch, graph.particles), numbers]
 
 
 def push(

@@ -76,17 +76,17 @@ def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray) -> np.nd
     """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not."""
     half = np.random.default_rng(1).permutation(len(goal))
     grain = _apart(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
-    few, there = thinned(cloud, COARSE), torch.as_tensor(thinned(goal, COARSE))
+    few, there = thinned(cloud, COARSE), thinned(goal, COARSE)
     tries = []
     for yaw in np.arange(YAWS) * (2 * np.pi / YAWS):
         turned = move_in_plane(few, (*(goal.mean(0) - few.mean(0))[:2], float(yaw)))
-        tries.append(align(torch.as_tensor(turned), there).numpy())
-    tries.sort(key=lambda rough: _apart(rough, there.numpy()))
+        tries.append(_laid(turned, there))
+    tries.sort(key=lambda rough: _apart(rough, there))
     tries = _distinct(tries)[:SHARPENED]
-    many, where = thinned(cloud, FINE), torch.as_tensor(thinned(goal, FINE))
+    many, where = thinned(cloud, FINE), thinned(goal, FINE)
     found = []
     for rough in tries:
-        sharp = align(torch.as_tensor(_carried(few, rough, many)), where, ROUNDS).numpy()
+        sharp = _laid(_carried(few, rough, many), where, ROUNDS)
         # along a thin thing nearest points hardly pull: there the middles of whole clouds know better
         for placed in (sharp, sharp + (goal.mean(0) - _carried(many, sharp, cloud).mean(0))):
             found.append((_apart(_carried(many, placed, cloud), goal), _carried(many, placed, particles)))
@@ -106,6 +106,13 @@ def _distinct(places: list[np.ndarray]) -> list[np.ndarray]:
         if all(np.linalg.norm(placed - other, axis=1).mean() > APART for other in kept):
             kept.append(placed)
     return kept
+
+
+def _laid(points: np.ndarray, goal: np.ndarray, rounds: int = 10) -> np.ndarray:
+    """Points [P, 3] turned about the vertical and shifted onto a goal [G, 3], without regard to normals."""
+    ours, theirs = (torch.nn.functional.pad(torch.as_tensor(side), (0, 3)) for side in (points, goal))
+    every = torch.ones(len(points), dtype=torch.bool)
+    return align(ours, theirs, every, len(goal), upright=True, rounds=rounds)[:, :3].numpy()
 
 
 def _carried(source: np.ndarray, target: np.ndarray, points: np.ndarray) -> np.ndarray:

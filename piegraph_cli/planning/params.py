@@ -30,11 +30,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
-    state: Path | None = Field(
-        None,
-        description="the object now: cloud (.ply, .npz, .h5), or images as for look (RECORDING/SEQUENCE:FRAME, or a folder "
-        "of single frames)",
-    )
+    state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
     table: Table | None = Field(

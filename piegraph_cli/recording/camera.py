@@ -6,8 +6,6 @@ import numpy as np
 
 UNDISTORT_ITERATIONS = 20
 """Fixed-point steps that invert the distortion, at most; enough for 1e-6 px with lenses of depth cameras."""
-STRAIGHT = 1e-11
-"""Change of a normalised image point below which it needs no further step."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def straight_rays(pixels: np.ndarray, K: np.ndarray, distortion: np.ndarray) -> 
             ]
         )
         before, straight = straight, (bent - shift) / radial[:, None]
-        if (np.abs(straight - before) < STRAIGHT).all():
+        if np.array_equal(straight, before):
             break
     return np.column_stack([straight, np.ones(len(straight))])
 

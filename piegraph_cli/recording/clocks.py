@@ -25,8 +25,8 @@ OFF, GAIN = (0.45, 0.6), (1.1, 1.25)
 
 Good recordings at 5 Hz end at 0.06 s and 1.1.
 """
-TOLD = 0.5
-"""Share of what changes in a camera that has to be explained by others, or nothing can be told."""
+TOLD = 0.3
+"""Share of what changes in a camera that has to be foretold by others, or nothing can be said."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Clocks:
     late: np.ndarray
     """[C] seconds by which what a camera shows lies behind its time stamps, against most others (of two: the first)."""
     fit: np.ndarray
-    """[C] share of a camera's changes that others explain, with these offsets."""
+    """[C] share of a camera's changes that others foretell, with these offsets."""
     gain: np.ndarray
     """[C] how many times more is left unexplained were the camera not late."""
     step: float
@@ -81,10 +81,15 @@ def compare_clocks(seen: Sequence[np.ndarray], times: Sequence[np.ndarray]) -> C
     late = _best(fits, len(seen), len(tried))
     at, zero = late + len(tried) // 2, len(tried) // 2
     scores = [_of_camera(fits, c, late) for c in range(len(seen))]
-    fit = np.array([score[k] for score, k in zip(scores, at.clip(0, len(tried) - 1), strict=True)])
+    here = np.array([score[k] for score, k in zip(scores, at.clip(0, len(tried) - 1), strict=True)])
     still = np.array([score[zero] for score in scores])
     step = float(np.median([np.median(np.diff(t)) for t in times]))
-    return Clocks(late * STEP, fit, (1 - still) / np.maximum(1 - fit, 1e-6), step)
+    foretold = np.zeros((len(seen), len(seen)))
+    for a, b in fits:
+        between = float(late[b] - late[a]) * STEP
+        foretold[a, b] = foretold[b, a] = _fit(seen[a], seen[b], times[a], times[b], between, apart=True)
+    fit = foretold.sum(1) / (len(seen) - 1)
+    return Clocks(late * STEP, fit, (1 - still) / np.maximum(1 - here, 1e-6), step)
 
 
 def _best(fits: dict[tuple[int, int], np.ndarray], cameras: int, tried: int) -> np.ndarray:
@@ -115,18 +120,30 @@ def _of_camera(fits: dict[tuple[int, int], np.ndarray], camera: int, late: np.nd
     return total / (len(late) - 1)
 
 
-def _fit(one: np.ndarray, other: np.ndarray, one_times: np.ndarray, other_times: np.ndarray, late: float) -> float:
-    """Share of the variance of each camera's changes that the other's explain linearly, were the other `late` (s)."""
+def _fit(
+    one: np.ndarray,
+    other: np.ndarray,
+    one_times: np.ndarray,
+    other_times: np.ndarray,
+    late: float,
+    apart: bool = False,
+) -> float:
+    """Share of the variance of each camera's changes that the other's explain linearly, were the other `late` (s).
+
+    With `apart` each frame is explained by what was learned from the others: many columns explain anything else.
+    """
     moved = np.stack([np.interp(one_times + late, other_times, column) for column in other.T], 1)
-    return (_explained(one, moved) + _explained(moved, one)) / 2
+    return (_explained(one, moved, apart) + _explained(moved, one, apart)) / 2
 
 
-def _explained(by: np.ndarray, what: np.ndarray) -> float:
+def _explained(by: np.ndarray, what: np.ndarray, apart: bool) -> float:
     """Share of the variance of columns [F, K] that a linear function of others [F, L] explains, the mean over columns."""
     x = (by - by.mean(0)) / np.maximum(by.std(0), 1e-9)
     y = (what - what.mean(0)) / np.maximum(what.std(0), 1e-9)
-    gram = x.T @ x + RIDGE * len(x) * np.eye(x.shape[1])
-    left = y - x @ np.linalg.solve(gram, x.T @ y)
+    hat = x @ np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T)
+    left = y - hat @ y
+    if apart:
+        left /= np.maximum(1 - np.diag(hat), 0.05)[:, None]
     return 1 - float((left**2).mean() / max(float((y**2).mean()), 1e-9))
 
 

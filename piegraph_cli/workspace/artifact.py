@@ -35,6 +35,9 @@ class Artifact:
     def __getitem__(self, dataset: str) -> "np.ndarray":
         return self.arrays[dataset]
 
+    def __contains__(self, dataset: str) -> bool:
+        return dataset in self.arrays
+
     def field(self, dataset: str) -> Field:
         """Axes by name, units and type of a dataset. Raises `DataError` where there is no such dataset."""
         found = field_of(self.name, dataset)

@@ -67,6 +67,16 @@ def test_a_bad_look_ends_with_3_and_writes_no_cloud(tmp_path):
     assert out.exists()
 
 
+def test_a_folder_of_single_frames_is_a_scene(tmp_path):
+    shutil.copy(SAMPLE / "cameras.json", tmp_path)
+    for camera in ("cam0", "cam1", "cam2", "cam3"):
+        for kind, suffix in (("color", "jpg"), ("depth", "png")):
+            image = SAMPLE / "sequence_0000" / camera / kind / f"000000.{suffix}"
+            shutil.copy(image, tmp_path / f"{camera}_{kind}.{suffix}")
+    now, then = (look(*read_scene(place)) for place in (tmp_path, SAMPLE / "sequence_0000:0"))
+    np.testing.assert_array_equal(now.particles, then.particles)
+
+
 def test_prompts_are_those_of_segment():
     said = piegraph("look", SAMPLE / "sequence_0000:0", "--set", "segment.points.cam0=[5, 5]", check=3)
     assert "segment.points.cam0 meets nothing" in said.stdout

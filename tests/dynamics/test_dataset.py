@@ -121,3 +121,27 @@ def test_a_pick_may_bend():
 def test_pieces_too_short_are_dropped_and_counted():
     found = find_strokes(curved(), DatasetParams(min_stroke=0.16))
     assert (len(found.strokes), found.cut.short) == (0, 2)
+
+
+def test_frames_that_are_not_trusted_are_no_examples():
+    doubt = np.full(21, 0.01, np.float32)
+    whole = find_strokes(hidden(), PARAMS)
+    assert find_strokes(hidden() | {"trust/doubt": doubt}, PARAMS).strokes.tolist() == whole.strokes.tolist()
+    doubt[8:10] = 0.04
+    found = find_strokes(hidden() | {"trust/doubt": doubt}, PARAMS)
+    assert (found.unseen, found.pairs_lost > 0) == (2, True)
+    lenient = find_strokes(hidden() | {"trust/doubt": doubt}, DatasetParams(max_doubt=0.05))
+    assert lenient.strokes.tolist() == whole.strokes.tolist()
+
+
+def test_particles_that_are_not_seen_are_marked_and_told():
+    one = hidden()
+    one["visibility"] = one["visibility"].copy()
+    one["visibility"][:, :4] = 0.05
+    output = run({"one": one, "two": hidden()})
+    seen = output.arrays["seen"]
+    assert not seen[:21, :4].any()
+    assert seen[:21, 4:].all()
+    assert seen[21:].all()
+    assert "% of the particles not seen, which teach nothing" in output.quality
+    assert "not seen" not in run({"one": hidden(), "two": hidden()}).quality

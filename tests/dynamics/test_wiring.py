@@ -286,7 +286,8 @@ def test_springs_learn_from_whole_strokes_with_springs_of_their_radius():
     assert learner.examples is not None
     strokes_of = learner.examples(one_sequence(), SMSParams(radius=0.04), "cpu")
     assert isinstance(strokes_of, sms.WholeStrokes)
-    graph, stroke, start, end = strokes_of.sequences[0]
+    graph, stroke, start, end, seen = strokes_of.sequences[0]
+    assert seen is None
     np.testing.assert_array_equal(graph.pairs, build_springs(REST.numpy(), 0.04).pairs)
     close(of_strokes.start(stroke).float(), torch.tensor([[-0.1, 0.01]]), 1e-6)
     close(of_strokes.end(stroke).float(), torch.tensor([[-0.1 + 4 * PACE, 0.01]]), 1e-6)

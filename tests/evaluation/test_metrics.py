@@ -97,6 +97,7 @@ def test_the_shape_error_of_a_table_does_not_depend_on_the_springs():
         "strokes": Strokes.of([[0.0, 0.0]], [[0.1, 0.0]], [0]),
         "follows": np.array([False]),
         "frames": np.array([[0, 5]]),
+        "seen": np.ones((2, 1, 30), bool),
     }
     rows = [
         list(

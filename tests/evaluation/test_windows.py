@@ -34,6 +34,7 @@ def sequence(strokes: int = 3) -> dict[str, np.ndarray]:
         "strokes": of_strokes.make(start, end, 0),
         "follows": np.arange(strokes) > 0,
         "frames": np.array([[10 * k, 10 * k + 5] for k in range(strokes)]),
+        "seen": np.ones((2, strokes, len(GRID)), bool),
     }
 
 
@@ -160,3 +161,19 @@ def test_an_evaluation_without_windows_is_an_error():
     with pytest.raises(DataError, match="no held-out sequence has 4 strokes in a row"):
         make_metrics(make_dataset(), None, "static", horizons=(4, 5))
     assert set(make_metrics(make_dataset(), None, "static", horizons=(2, 5))["horizon"].tolist()) == {2}
+
+
+def test_particles_that_were_not_seen_do_not_count():
+    whole, hidden = sequence(2), sequence(2)
+    hidden["after"][1, 0] += 0.5
+    hidden["before"][1, 1] += 0.5
+    hidden["seen"][1, 1, 0] = False
+    found = rows(hidden)
+    assert found[1, 1][2] > 3, "the particle that was seen after, but not where it is said to have been before"
+    hidden["seen"][0, 1, 1] = False
+    found = rows(hidden)
+    np.testing.assert_allclose(found[1, 0][:3], rows(whole)[1, 0][:3])
+    np.testing.assert_allclose(found[1, 1][:3], rows(whole)[1, 1][:3], rtol=1e-5, atol=1e-6)
+    hidden["seen"][1, 1] = False
+    assert (1, 1) not in rows(hidden)
+    assert (1, 0) in rows(hidden)

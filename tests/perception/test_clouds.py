@@ -5,7 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piegraph_cli.perception.clouds import back_project, contact, flying_pixels, fuse, world_map
+from piegraph_cli.errors import UsageError
+from piegraph_cli.perception.clouds import (
+    DEVIATIONS,
+    NEIGHBOURS,
+    back_project,
+    contact,
+    flying_pixels,
+    fuse,
+    voxel_means,
+    without_outliers,
+    world_map,
+)
 from tests.perception.scene import WORKSPACE, render, ring_camera
 
 CAMERAS = [ring_camera(azimuth, f"c{n}") for n, azimuth in enumerate((0.4, 2.0, 3.5, 5.1))]
@@ -85,6 +96,29 @@ def test_the_voxel_size_thins_the_cloud(views):
         for size in (0.004, 0.016)
     )
     assert 5 * len(coarse) < len(fine)
+
+
+def test_thinning_and_outliers_are_those_of_open3d(views):
+    import open3d as o3d
+
+    points = np.concatenate([back_project(v.object, v.depth, k) for v, k in zip(views, CAMERAS, strict=True)])
+    points = np.concatenate([points, np.random.default_rng(0).uniform(-0.2, 0.2, (40, 3))]).astype(np.float64)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(0.004)
+    thinned = voxel_means(points, 0.004)
+    np.testing.assert_allclose(in_order(thinned), in_order(np.asarray(cloud.points)), atol=1e-9)
+    cloud = cloud.remove_statistical_outlier(NEIGHBOURS, DEVIATIONS)[0]
+    kept = without_outliers(thinned)
+    assert len(kept) < len(thinned)
+    np.testing.assert_allclose(in_order(kept), in_order(np.asarray(cloud.points)), atol=1e-9)
+
+
+def in_order(points: np.ndarray) -> np.ndarray:
+    return points[np.lexsort(points.round(7).T)]
+
+
+def test_voxels_too_small_to_be_counted_are_refused(views):
+    with pytest.raises(UsageError, match="voxels of 1e-09 m"):
+        fuse([v.object for v in views], [v.depth for v in views], CAMERAS, WORKSPACE, voxel_size=1e-9)
 
 
 def test_stray_points_are_removed(views):

@@ -14,6 +14,7 @@ from piegraph_cli.perception.hands import (
     detect_hands,
     end_effector,
     fill_gaps,
+    find_hands,
     lift_hands,
     merge_rays,
 )
@@ -223,3 +224,21 @@ def test_a_lost_hand_is_searched_for_again_in_the_same_frame(landmarker):
     assert score.tolist() == [0.9, 0.9, 0.0]
     assert landmarker.stamps == sorted(set(landmarker.stamps))
     assert landmarker.stamps[:2] == [0, 200]
+
+
+def test_what_was_not_followed_is_searched_for_once(landmarker):
+    landmarker.answers = [False, False, True]
+    pixels, _ = detect_hands([np.zeros((40, 80, 3), np.uint8)] * 3, np.array([0.0, 0.2, 0.4]), Path("model.task"), 1)
+    assert np.isfinite(pixels).all(axis=(1, 2, 3)).tolist() == [False, False, True]
+    assert landmarker.stamps == [0, 200, 400]
+
+
+def test_hands_of_images_apart(monkeypatch):
+    fake = FakeLandmarker([True, False])
+    monkeypatch.setattr(hands, "_hand_landmarker", lambda path, count, mode: nullcontext(fake))
+    fake.detect = lambda image: fake.detect_for_video(image, 0)
+    pixels, score = find_hands((np.zeros((40, 80, 3), np.uint8) for _ in range(2)), Path("model.task"), 2)
+    assert pixels.shape == (2, 2, 21, 2)
+    np.testing.assert_allclose(pixels[0, 0], np.tile([39.5, 9.5], (21, 1)))
+    assert np.isnan(pixels[0, 1]).all()
+    assert score.tolist() == [[0.9, 0.0], [0.0, 0.0]]

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.perception import segmentation
 from piegraph_cli.perception.colour import lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.seeds import find_object
-from piegraph_cli.perception.segmentation import ON_HAND, learn_object, object_score, segment_sequence
+from piegraph_cli.perception.segmentation import ON_HAND, RIM, learn_object, object_score, segment_sequence
 from piegraph_cli.recording.camera import Camera
 from tests.perception.scene import WORKSPACE, pushing_sequence, render, ring_camera
 
@@ -71,6 +72,36 @@ def test_masks_follow_the_object_and_leave_the_hand_out(recording, c):
 def test_masks_are_found_backwards_from_a_later_seed(block):
     masks = block.segment(0, frame=FRAMES - 1, seed=block.object[0, -1])
     assert (iou(masks, block.object[0]) > 0.95).all()
+
+
+@pytest.mark.parametrize("c", range(len(CAMERAS)))
+def test_a_window_gives_the_masks_of_the_whole_image(block, c, monkeypatch):
+    seed = block.object[c, 0]
+    found = block.segment(c, seed=seed)
+    near = segmentation.window_around
+    monkeypatch.setattr(
+        segmentation,
+        "window_around",
+        lambda mask, margin: tuple(slice(0, n) for n in mask.shape) if margin > RIM else near(mask, margin),
+    )
+    np.testing.assert_array_equal(block.segment(c, seed=seed), found)
+
+
+@pytest.mark.parametrize(
+    ("box", "window", "within"),
+    [
+        ((8, 8, 44, 24), (slice(20, 60), slice(30, 90)), True),
+        ((7, 8, 10, 10), (slice(20, 60), slice(30, 90)), False),
+        ((8, 7, 10, 10), (slice(20, 60), slice(30, 90)), False),
+        ((8, 8, 45, 24), (slice(20, 60), slice(30, 90)), False),
+        ((8, 8, 44, 25), (slice(20, 60), slice(30, 90)), False),
+        ((0, 0, 100, 80), (slice(0, 80), slice(0, 100)), True),
+        ((0, 0, 0, 0), (slice(20, 60), slice(30, 90)), True),
+    ],
+)
+def test_a_window_grows_unless_parts_end_clear_of_its_rim(box, window, within):
+    boxes = np.array([(0, 0, 0, 0, 0), (*box, box[2] * box[3])])
+    assert segmentation._lie_within(boxes, window, (80, 100)) is within
 
 
 def test_the_same_input_gives_the_same_masks(block):
@@ -152,7 +183,7 @@ def test_one_frame_and_one_camera(block):
 def test_an_empty_table_is_an_error_that_names_the_cameras():
     view = render(CAMERAS[0], (5, 5), 0, None)
     hand_px = np.full((1, 1, 21, 2), np.nan)
-    with pytest.raises(DataError, match=r"(?s)c0.*no object found.*--workspace"):
+    with pytest.raises(DataError, match=r"(?s)c0.*no object found.*ingest.workspace"):
         find_object([[view.image]], [[view.depth]], CAMERAS[:1], hand_px, WORKSPACE, PARAMS)
 
 

@@ -93,6 +93,18 @@ def test_driving_takes_up_and_returns_the_velocity():
         assert float((a - b).abs().max()) < 1e-6
 
 
+def test_driving_again_leaves_what_was_returned_before():
+    start, goal, weights = (part[0] for part in scene(1, 4))
+    params = GuidanceParams(iterations=10)
+    first = spring_kernel.drive(start, 0 * start, goal, GRAPH, params, weights)
+    kept = [part.clone() for part in first]
+    with torch.inference_mode():
+        spring_kernel.drive(goal, 0 * start, start, GRAPH, params, weights)
+    assert all(torch.equal(a, b) for a, b in zip(first, kept, strict=True))
+    again = spring_kernel.drive(start, 0 * start, goal, GRAPH, params, weights)
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+
+
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("tension_only", [False, True])
 @pytest.mark.parametrize("friction", [0.0, 0.5])

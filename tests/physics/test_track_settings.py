@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from piegraph_cli.physics import tracking
+from piegraph_cli.physics import follower
 from piegraph_cli.physics.association import thin
+from piegraph_cli.physics.follower import GRASP_RADIUS
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.particles import choose_particles
-from piegraph_cli.physics.tracking import GRASP_RADIUS, spring_radius, track
+from piegraph_cli.physics.tracking import spring_radius, track
+from piegraph_cli.stages.images import Views
 from tests.physics.objects import surface, turned
-from tests.stages.chain import make_tracks
+from tests.stages.chain import from_above, make_tracks
 
 SMALL = {"particles": 12, "tracked": 30, "points": 200, "rounds": 4, "iterations": 4}
 CHANGES = {
@@ -78,8 +80,8 @@ def test_particles_are_joined_over_twice_their_spacing_and_3_cm_at_least():
 
 
 def test_clouds_are_thinned_to_the_points_asked_for(monkeypatch):
-    counts, real = [], tracking.thin
-    monkeypatch.setattr(tracking, "thin", lambda cloud, count: counts.append(count) or real(cloud, count))
+    counts, real = [], follower.thin
+    monkeypatch.setattr(follower, "thin", lambda cloud, count: counts.append(count) or real(cloud, count))
     tracked(points=70)
     assert counts == [70] * 3
     assert thin(CLOUDS[0], 70).shape == (70, 3)
@@ -94,32 +96,32 @@ def test_rounds_are_dealt_out_over_the_scales_in_turn():
 
 def test_each_round_assigns_at_its_scale_and_then_moves_by_its_iterations(monkeypatch):
     scales, iterations = [], []
-    drive, setpoint = tracking.drive, tracking.SoftAssignment.setpoint
+    drive, setpoint = follower.drive, follower.SoftAssignment.setpoint
 
     def count(positions, velocity, target, graph, params, weights):
         iterations.append(params.iterations)
         return drive(positions, velocity, target, graph, params, weights)
 
-    monkeypatch.setattr(tracking, "drive", count)
+    monkeypatch.setattr(follower, "drive", count)
     monkeypatch.setattr(
-        tracking.SoftAssignment,
+        follower.SoftAssignment,
         "setpoint",
         lambda self, x, cloud, scale, r: scales.append(scale) or setpoint(self, x, cloud, scale, r),
     )
-    monkeypatch.setattr(tracking, "SETTLED", 0.0)
+    monkeypatch.setattr(follower, "SETTLED", 0.0)
     tracked(rounds=5, scales=(0.02, 0.01), iterations=6)
     assert scales == [0.02, 0.02, 0.02, 0.01, 0.01] * 2
     assert iterations == [6] * 10
 
 
 def test_gains_and_springs_are_those_of_the_settings(monkeypatch):
-    seen, real = [], tracking.drive
+    seen, real = [], follower.drive
 
     def note(positions, velocity, target, graph, params, weights):
         seen.append(params)
         return real(positions, velocity, target, graph, params, weights)
 
-    monkeypatch.setattr(tracking, "drive", note)
+    monkeypatch.setattr(follower, "drive", note)
     tracked(stiffness=0.01, gain=0.04, damping=0.7)
     assert {(p.stiffness, p.gain, p.damping) for p in seen} == {(0.01, 0.04, 0.7)}
     seen.clear()
@@ -155,7 +157,9 @@ def test_a_hand_carries_the_object_in_recordings_of_picks_alone(mode):
     clouds = [CLOUDS[0], CLOUDS[0], np.zeros((0, 3))]
     found = make_tracks(clouds, hand, np.array([False, True, True]), mode=mode, **SMALL)
     by_hand = {"hand": hand, "grasp": np.array([False, True, True])} if mode == "pick" else {}
-    np.testing.assert_array_equal(found["positions"], track(clouds, TrackParams(**SMALL), **by_hand).positions)
+    views = Views(*from_above(3).values())
+    given = TrackParams(**SMALL, mode=mode)
+    np.testing.assert_array_equal(found["positions"], track(clouds, given, views=views, **by_hand).positions)
     assert (np.abs(found["positions"][2] - found["positions"][1]).max() > 0.01) == (mode == "pick")
     assert np.asarray(found["mode"]).astype(int).tolist() == [int(mode == "pick")] * 3
     np.testing.assert_array_equal(found["contact"], [False, True, True])

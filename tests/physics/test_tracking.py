@@ -9,6 +9,7 @@ from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.association import SoftAssignment, align, soft_means, thin
 from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.physics.tracking import TrackParams, track
+from piegraph_cli.physics.visibility import normals
 from tests.physics.objects import block_recording, rope, surface, turned
 
 
@@ -27,6 +28,11 @@ def error(result, poses) -> np.ndarray:
     first = turned(result.positions[0] - [poses[0][0], poses[0][1], 0], (0, 0, -poses[0][2]))
     truth = np.array([turned(first, pose) for pose in poses])
     return np.linalg.norm(result.positions - truth, axis=2).mean(axis=1)
+
+
+def with_normals(points: torch.Tensor, cloud: np.ndarray) -> torch.Tensor:
+    """Places and normals [P, 6] of points of a cloud."""
+    return torch.cat([points, torch.as_tensor(normals(cloud, points.numpy(), ()), dtype=torch.float32)], 1)
 
 
 def test_particles_stay_on_their_material_points(block, tracked):
@@ -152,9 +158,12 @@ def test_stray_points_are_not_chosen():
 def test_alignment_finds_a_rigid_motion():
     rng = np.random.default_rng(0)
     particles = torch.as_tensor(choose_particles(surface(2500, rng), 150), dtype=torch.float32)
-    cloud = thin(turned(surface(2500, rng), (0.012, -0.008, 0.15)), 800)
+    cloud = turned(surface(2500, rng), (0.012, -0.008, 0.15))
     truth = turned(particles.numpy(), (0.012, -0.008, 0.15))
-    assert np.linalg.norm(align(particles, cloud).numpy() - truth, axis=1).mean() < 0.004
+    given = with_normals(particles, surface(2500, rng)), with_normals(thin(cloud, 800), cloud)
+    for upright in (False, True):
+        found = align(*given, torch.ones(150, dtype=torch.bool), 800, upright)
+        assert np.linalg.norm(found[:, :3].numpy() - truth, axis=1).mean() < 0.004
 
 
 def test_soft_means_are_what_they_say():
@@ -162,7 +171,9 @@ def test_soft_means_are_what_they_say():
     x, y = rng.random((5, 3)) * 0.05, rng.random((40, 3)) * 0.05
     kernel = np.exp(-((x[:, None] - y[None]) ** 2).sum(2) / (2 * 0.02**2))
     share = kernel / (kernel.sum(0) + 0.1 * np.exp(-3.125))
-    means, total = soft_means(torch.as_tensor(x), torch.as_tensor(y), 0.02)
+    normal = np.tile([0.0, 0.0, 1.0], (40, 1))
+    nodes, points = (torch.as_tensor(np.c_[a, normal[: len(a)]]) for a in (x, y))
+    means, total = soft_means(nodes, points, 0.02)
     np.testing.assert_allclose(total, share.sum(1), rtol=1e-6)
     np.testing.assert_allclose(means, share @ y / share.sum(1)[:, None], rtol=1e-6)
 
@@ -170,10 +181,11 @@ def test_soft_means_are_what_they_say():
 def test_calibrated_setpoint_of_an_unmoved_and_a_turned_object():
     cloud = surface(800, np.random.default_rng(0))
     first = torch.as_tensor(choose_particles(cloud, 150), dtype=torch.float32)
-    soft = SoftAssignment(first, thin(cloud, 800), (0.012,))
+    soft = SoftAssignment(first, with_normals(thin(cloud, 800), cloud), (0.012,))
     pose = (0.1, 0.05, 1.2)
+    there = turned(cloud, pose)
     now = torch.as_tensor(turned(first.numpy(), pose), dtype=torch.float32)
-    setpoint, seen = soft.setpoint(now, thin(turned(cloud, pose), 800), 0.012, soft.rotations(now))
+    setpoint, seen = soft.setpoint(now, with_normals(thin(there, 800), there), 0.012, soft.rotations(now))
     torch.testing.assert_close(setpoint, now, atol=1e-4, rtol=0)
     torch.testing.assert_close(seen, torch.ones(150), atol=1e-3, rtol=0)
 

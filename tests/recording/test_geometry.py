@@ -70,6 +70,13 @@ def rotated(axis, degrees):
     return T
 
 
+def turned(T, degrees):
+    """About the world's vertical, at the camera's place."""
+    changed = rotated(2, degrees) @ T
+    changed[:3, 3] = T[:3, 3]
+    return changed
+
+
 def moved(*by):
     T = np.eye(4)
     T[:3, 3] = by
@@ -165,6 +172,9 @@ TROUBLES = {
     "one rolled by 6 deg": (poses(lambda T: T @ rotated(2, 6), 1), "the pose of cam1 is off"),
     "all pitched by 3 deg": (poses(lambda T: T @ rotated(0, 3)), "the pose of cam0, cam1, cam2 and cam3 is off"),
     "one 80 mm aside": (poses(lambda T: moved(0.06, 0.05, 0) @ T, 1), "cam1 alone disagrees"),
+    "one turned by 3 deg": (poses(lambda T: turned(T, 3), 1), "the pose of cam1 is off along the table"),
+    "one turned by 1.5 deg": (poses(lambda T: turned(T, 1.5), 1), "the pose of cam1 is off along the table"),
+    "one 20 mm aside": (poses(lambda T: moved(0.012, -0.016, 0) @ T, 1), "the pose of cam1 is off along the table"),
     "depth 15 px right": (depths(lambda d: np.roll(d, 15, 1)), r"moving depth by -1[456], -?[012] px"),
     "depth 8 px left": (depths(lambda d: np.roll(d, -8, 1)), r"moving depth by [789], -?[012] px"),
     "depth 9 px down": (depths(lambda d: np.roll(d, 9, 0)), r"moving depth by -?[012], -([789]|10) px"),
@@ -201,6 +211,12 @@ def test_a_table_at_another_height_is_good_where_that_is_said():
     high = with_poses(boxes_on_a_table(), lambda k, T: moved(0, 0, 0.1) @ T)
     assert told(high)[0][0] == "bad"
     assert told(high, table=0.1) == []
+
+
+def test_a_table_without_texture_tells_nothing_of_shifts_along_it():
+    plain = [replace(v, color=[np.full_like(c, 120) for c in v.color]) for v in boxes_on_a_table()]
+    assert not [c for c in check_geometry(plain, WORKSPACE) if c.name == "texture"]
+    assert len([c for c in check_geometry(boxes_on_a_table(), WORKSPACE) if c.name == "texture"]) == 6
 
 
 def test_small_slips_are_doubtful():

@@ -10,6 +10,7 @@ import numpy as np
 from piegraph_cli.dynamics.params import DatasetParams, ModelParams, TrainParams
 from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.physics.params import TrackParams
+from piegraph_cli.recording.images import encode_depth, encode_masks, join_images
 from piegraph_cli.stages import dataset, evaluate, track, train
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -103,4 +104,23 @@ def make_tracks(
         "contact": contact,
         "time": np.arange(len(clouds)) / 5,
     }
-    return dict(track.run({"clouds": artifact(source)}, TrackParams(**settings), context()).arrays)
+    inputs = from_above(len(clouds)) | {"clouds": artifact(source)}
+    return dict(track.run(inputs, TrackParams(**settings), context()).arrays)
+
+
+def from_above(frames: int) -> dict[str, Artifact]:
+    """Frames and masks of one camera, 1 m above the table, whose mask is everywhere and whose depth has no reading."""
+    depth, offsets = join_images([encode_depth(np.zeros((64, 64), np.uint16))] * frames)
+    mask, mask_offsets = encode_masks([np.ones((64, 64), bool)] * frames)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 1.0
+    camera = {
+        "camera_name": np.array([b"top"]),
+        "image_size": np.array([[64, 64]]),
+        "K": np.array([[[20.0, 0, 32], [0, 20, 32], [0, 0, 1]]]),
+        "distortion": np.zeros((1, 5)),
+        "depth_scale": np.array([0.001]),
+        "T_world_camera": pose[None],
+    }
+    images = {"depth": depth, "depth_offsets": offsets, "time": np.arange(frames) / 5}
+    return {"frames": artifact(camera | images), "masks": artifact({"mask": mask, "mask_offsets": mask_offsets})}

@@ -125,7 +125,7 @@ def stubs(scene):
         patch.setattr(simulate, "make_environment", lambda *given: given)
         patch.setattr(rendering, "record", record)
         patch.setattr(rendering, "truth_arrays", lambda environment, frames: truth_of(scene, frames))
-        patch.setattr(rig, "camera_rig", lambda: scene.cameras)
+        patch.setattr(rig, "camera_rig", lambda count=4: scene.cameras)
         patch.setattr(hands_of_environments, "load_hand", lambda: "the hand")
         patch.setattr(hands, "detect_hands", detect)
         patch.setattr(seeds, "find_object", find)
@@ -441,20 +441,25 @@ def test_sam_is_prompted_where_there_are_prompts(run, scene, stubs, monkeypatch)
 @pytest.mark.parametrize("mode", ["push", "pick"])
 def test_tracking_is_given_the_hand_for_picks_and_tells_of_poor_clouds(run, monkeypatch, mode):
     source, seen = run.read("clouds", "sequence_0000"), []
+    frames = run.read("frames", "sequence_0000")
+    inputs = {"clouds": source, "frames": frames, "masks": run.read("masks", "sequence_0000")}
     held = np.zeros(FRAMES, bool)
-    residual = np.linspace(0.004, 0.010, FRAMES)
+    doubt, lost = np.linspace(0.012, 0.018, FRAMES), np.zeros(FRAMES, bool)
 
-    def tracked(given, params, hand, grasp, progress):
+    def tracked(given, params, hand, grasp, progress, views):
         seen.append((given, params, hand, grasp, list(progress(range(3)))))
+        assert [len(views[0]), len(views)] == [len(frames["K"]), FRAMES]
+        none, all_seen = np.zeros(FRAMES), np.ones((FRAMES, 4))
+        positions = np.zeros((FRAMES, 4, 3))
         return SimpleNamespace(
-            positions=np.zeros((FRAMES, 4, 3)), residual=residual, weight=np.ones((FRAMES, 4)), held=held
+            positions=positions, residual=none, weight=all_seen, misfit=none, doubt=doubt, held=held, lost=lost
         )
 
     from piegraph_cli.physics import tracking
 
     monkeypatch.setattr(tracking, "track", tracked)
     params = track.TrackParams(mode=mode)
-    output = track.run({"clouds": source}, params, context())
+    output = track.run(inputs, params, context())
     given, own, hand, grasp, items = seen[0]
     assert [len(cloud) for cloud in given] == np.diff(source["offsets"]).tolist()
     np.testing.assert_array_equal(np.concatenate(given), source["points"])
@@ -466,25 +471,30 @@ def test_tracking_is_given_the_hand_for_picks_and_tells_of_poor_clouds(run, monk
         assert hand is None
         assert grasp is None
     assert set(output.arrays["mode"].tolist()) == {int(mode == "pick")}
-    assert (output.quality, output.warnings) == ("7 frames, residual 7.0 mm (no accuracy: see docs/method.md)", [])
-    residual += 0.0015
-    (poor,) = track.run({"clouds": source}, params, context()).warnings
-    assert poor == "residual 8.5 mm: look at the clouds with `piegraph report`"
+    assert (output.quality, output.warnings) == ("7 frames, expected error 15.0 mm", [])
+    np.testing.assert_array_equal(output.arrays["trust/doubt"], doubt)
+    doubt += 0.0015
+    (poor,) = track.run(inputs, params, context()).warnings
+    assert poor == "expected error 16.5 mm: look at frame 6 with `piegraph report`"
+    doubt[:] = 0.001
     held[[2, 3]] = True
-    residual[2] = np.nan
-    output = track.run({"clouds": source}, params, context())
-    median = np.median(residual[[0, 1, 4, 5, 6]]) * 1000
-    assert output.quality.startswith(f"7 frames, residual {median:.1f} mm")
-    assert output.warnings[0] == "2 frames without a cloud, first 2: particles held still"
-    held[:] = True
-    assert "residual nan mm" in track.run({"clouds": source}, params, context()).quality
+    lost[4] = True
+    warnings = track.run(inputs, params, context()).warnings
+    assert warnings[0] == "2 frames without a cloud, first 2: particles held still"
+    assert warnings[1] == "1 frames in which the object is not where it can be, first 4: no examples"
+    lost[4:] = True
+    assert track.run(inputs, params, context()).warnings[1].endswith("not found again, so the sequence ends there")
 
 
 def test_tracking_names_the_file_of_a_cloud_that_cannot_be_tracked(run):
     source = run.read("clouds", "sequence_0000")
     few = artifact(dict(source.arrays) | {"points": source["points"][:7], "offsets": np.arange(FRAMES + 1)})
     with pytest.raises(DataError) as caught:
-        track.run({"clouds": few}, track.TrackParams(), context())
+        track.run(
+            {"clouds": few} | {name: run.read(name, "sequence_0000") for name in ("frames", "masks")},
+            track.TrackParams(),
+            context(),
+        )
     assert caught.value.where.startswith("memory.h5, ")
 
 

@@ -67,6 +67,7 @@ def frame_of(scene, f: int) -> rendering.Frame:
         np.stack([view.hand for view in views]),
         scene.joints[f],
         0.2 * f + np.array([0.001, 0.003]),
+        np.zeros(2, bool),
     )
 
 
@@ -99,7 +100,7 @@ def stubs(scene):
     """Rendering, detection and segmentation that know the scene; each call is noted."""
     noted = SimpleNamespace(recorded=[], detected=[], found=[], segmented=[])
 
-    def record(environment, seed, strokes, cameras, hand, modes):
+    def record(environment, seed, strokes, cameras, hand, modes, trouble):
         noted.recorded.append((environment, seed, strokes, [c.name for c in cameras], hand, modes))
         return (frame_of(scene, f) for f in range(FRAMES))
 
@@ -125,7 +126,7 @@ def stubs(scene):
         patch.setattr(simulate, "make_environment", lambda *given: given)
         patch.setattr(rendering, "record", record)
         patch.setattr(rendering, "truth_arrays", lambda environment, frames: truth_of(scene, frames))
-        patch.setattr(rig, "camera_rig", lambda: scene.cameras)
+        patch.setattr(rig, "camera_rig", lambda count: scene.cameras)
         patch.setattr(hands_of_environments, "load_hand", lambda: "the hand")
         patch.setattr(hands, "detect_hands", detect)
         patch.setattr(seeds, "find_object", find)

@@ -11,7 +11,7 @@ import pytest
 from piegraph_cli.environments import hand as hands_of_environments
 from piegraph_cli.environments import recording as rendering
 from piegraph_cli.environments import rig
-from piegraph_cli.environments.params import SequenceParams, SimulateParams
+from piegraph_cli.environments.params import RecordingParams, SimulateParams
 from piegraph_cli.errors import DataError, MissingError, UsageError
 from piegraph_cli.evaluation import truth
 from piegraph_cli.perception import clouds, hands, sam, sam_models, seeds, segmentation
@@ -164,7 +164,7 @@ def run(recorded, stubs, tmp_path_factory):
 
 def test_a_recording_is_written_camera_by_camera_with_its_truth(recorded, stubs, scene):
     (environment, seed, strokes, names, hand, modes), (_, other, *_) = stubs.recorded[:2]
-    given = SequenceParams(**SIMULATION.model_dump(exclude={"sequences"}))
+    given = RecordingParams(**SIMULATION.model_dump(exclude={"sequences"}))
     assert environment == ("tblock", 9, given)
     assert (strokes, names, hand, modes) == (3, list(NAMES), "the hand", ())
     assert (seed, other) == tuple(simulate.sequence_seed(given, k) for k in (0, 1))
@@ -189,7 +189,7 @@ def test_finished_sequences_are_kept_unless_their_settings_change(stubs, tmp_pat
 
     def render_one(index=0, force=False, **settings):
         before = len(stubs.recorded)
-        params = SequenceParams(**SIMULATION.model_copy(update=settings).model_dump(exclude={"sequences"}))
+        params = RecordingParams(**SIMULATION.model_copy(update=settings).model_dump(exclude={"sequences"}))
         simulate._record_sequence(tmp_path / "r" / "sequence_0000", params, index, force)
         return len(stubs.recorded) - before
 

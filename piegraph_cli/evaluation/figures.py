@@ -162,3 +162,34 @@ def score_figure(scores: dict[str, np.ndarray]) -> Figure:
         axes.set_ylim(bottom=0)
         axes.tick_params(labelsize=7)
     return figure
+
+
+VERDICT_COLORS = {"good": "#d9f0d3", "doubtful": "#fee8a8", "bad": "#f4b6a6"}
+
+
+def check_figure(checks: Sequence[dict[str, Any]], title: str) -> Figure:
+    """Of each check of geometry and clocks the worst: cameras, what was found, verdict and cause.
+
+    `checks` are rows with name, camera, verdict, text and cause, all text, and figure.
+    """
+    order = list(VERDICT_COLORS)
+    worst: dict[str, dict[str, Any]] = {}
+    for check in checks:
+        rank = (order.index(check["verdict"]), abs(np.nan_to_num(check["figure"])))
+        held = worst.get(check["name"])
+        if held is None or rank > (order.index(held["verdict"]), abs(np.nan_to_num(held["figure"]))):
+            worst[check["name"]] = check
+    figure = Figure(figsize=(13.0, 0.6 + 0.34 * len(worst)), layout="constrained")
+    axes = figure.add_subplot()
+    axes.axis("off")
+    axes.set_title(title, fontsize=10)
+    rows = [
+        [c["name"], c["camera"], c["verdict"], "; ".join(filter(None, (c["text"], c["cause"])))] for c in worst.values()
+    ]
+    table = axes.table(rows, colLabels=["check", "cameras", "verdict", "the worst of it"], cellLoc="left", loc="center")
+    table.auto_set_font_size(False)
+    table.set_fontsize(7)
+    table.auto_set_column_width(range(4))
+    for k, row in enumerate(rows, 1):
+        table[k, 2].set_facecolor(VERDICT_COLORS[row[2]])
+    return figure

@@ -41,10 +41,17 @@ class Clocks:
     """[C] how many times more is left unexplained were the camera not late."""
     step: float
     """Seconds from frame to frame."""
+    lost: float
+    """Share of the frames that a camera lacks between its first and its last, the largest of all cameras."""
+
+    @property
+    def unsure(self) -> float:
+        """How many times larger an offset must be to be told, for what is lost between frames."""
+        return 1 + 5 * self.lost
 
     def verdict(self, camera: int) -> Verdict:
         """What to say of a camera's clock."""
-        late, gain = abs(self.late[camera]) / self.step, self.gain[camera]
+        late, gain = abs(self.late[camera]) / (self.unsure * self.step), self.gain[camera]
         if self.fit[camera] < TOLD or late < OFF[0] or gain < GAIN[0]:
             return "good"
         return "bad" if late > OFF[1] and gain > GAIN[1] else "doubtful"
@@ -89,7 +96,8 @@ def compare_clocks(seen: Sequence[np.ndarray], times: Sequence[np.ndarray]) -> C
         between = float(late[b] - late[a]) * STEP
         foretold[a, b] = foretold[b, a] = _fit(seen[a], seen[b], times[a], times[b], between, apart=True)
     fit = foretold.sum(1) / (len(seen) - 1)
-    return Clocks(late * STEP, fit, (1 - still) / np.maximum(1 - here, 1e-6), step)
+    lost = max(1 - len(t) / (1 + (t[-1] - t[0]) / np.median(np.diff(t))) for t in times)
+    return Clocks(late * STEP, fit, (1 - still) / np.maximum(1 - here, 1e-6), step, max(0.0, float(lost)))
 
 
 def _best(fits: dict[tuple[int, int], np.ndarray], cameras: int, tried: int) -> np.ndarray:
@@ -157,7 +165,7 @@ def check_clocks(names: Sequence[str], seen: Sequence[np.ndarray], times: Sequen
         late, verdict = float(clocks.late[k]), clocks.verdict(k)
         text = f"it shows things {abs(late):.2f} s {'after' if late > 0 else 'before'} the others"
         found = explained(name, late) if verdict != "good" else ("", "")
-        checks.append(Check("clocks", (name,), late, "s", OFF[0] * clocks.step, verdict, text, *found))
+        checks.append(Check("clocks", (name,), late, "s", OFF[0] * clocks.unsure * clocks.step, verdict, text, *found))
     return checks
 
 

@@ -16,7 +16,7 @@ from piegraph_cli.recording.images import ImageStack, encode_depth, encode_mask,
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
-from piegraph_cli.recording.timing import align_frames
+from piegraph_cli.recording.timing import align_frames, frame_times
 
 SMOOTHER = 8
 """Times that depth is smoother with its bytes exchanged where they were exchanged before."""
@@ -43,17 +43,19 @@ def read_sequence(
     if len(time) < 2:
         hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
         raise DataError("one frame: nothing can be seen to move", str(folder), hint)
-    stamps = np.stack([film.times[source[:, c]] for c, film in enumerate(films)], 1)
+    stamps = frame_times([film.times for film in films], source)
     clock = stamps.mean(1)
     tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
     images, blind = _read_images(films, source, progress)
-    _check_byte_order(folder, films, source[0])
+    there = [int(source[source[:, c] >= 0, c][0]) for c in range(len(films))]
+    _check_byte_order(folder, films, there)
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
     arrays = images | tool | _camera_arrays(cameras)
     arrays["time"] = time
     arrays["stamp"] = stamps - clock[0]
-    arrays["source_frame"] = np.stack([film.numbers[source[:, c]] for c, film in enumerate(films)], 1)
+    numbers = [film.numbers[np.maximum(source[:, c], 0)] for c, film in enumerate(films)]
+    arrays["source_frame"] = np.where(source >= 0, np.stack(numbers, 1), -1)
     warnings += alone + gaps
     if blind.any():
         frame, c = np.argwhere(blind)[0]
@@ -116,6 +118,11 @@ def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> t
     for frame in progress(range(len(source))):
         for c, film in enumerate(films):
             k = int(source[frame, c])
+            if k < 0:  # the nearest picture stands for one that is lost, without a reading of depth
+                color.append(film.images.color(~k))
+                depth.append(encode_depth(np.zeros((film.camera.height, film.camera.width), np.uint16)))
+                masks.append(b"")
+                continue
             color.append(film.images.color(k))
             image, encoded = film.images.depth(k)
             if film.camera.depth_view is not None:
@@ -130,7 +137,7 @@ def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> t
     return arrays, blind
 
 
-def _check_byte_order(folder: Path, films: list[Film], first: np.ndarray) -> None:
+def _check_byte_order(folder: Path, films: list[Film], first: list[int]) -> None:
     """Refuse depth whose two bytes are exchanged: neighbours then differ by hundreds of times as much."""
 
     def roughness(image: np.ndarray) -> float:
@@ -138,7 +145,7 @@ def _check_byte_order(folder: Path, films: list[Film], first: np.ndarray) -> Non
         return float(steps.mean()) if len(steps) else 0.0
 
     for film, k in zip(films, first, strict=True):
-        image = film.images.depth(int(k))[0]
+        image = film.images.depth(k)[0]
         if roughness(image.byteswap()) * SMOOTHER < roughness(image):
             message = f"the two bytes of depth are exchanged (big-endian), frame {film.numbers[k]}"
             raise DataError(

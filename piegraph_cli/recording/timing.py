@@ -61,43 +61,55 @@ def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 
 def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tuple[np.ndarray, list[str]]:
     """Each camera's frames that belong together [F, C], by time stamps (s), and warnings of those without partners.
 
-    The camera with the fewest frames leads; a frame belongs to the one of another camera that is nearest to it, if it is
-    itself that one's nearest, and all of them lie within `max_skew` (s). Raises `DataError` naming two cameras and a
-    frame where fewer than half of the frames find partners.
+    Of the slowest cameras the one with most frames leads; a frame belongs to the one of another camera that is nearest
+    to it, if it is itself that one's nearest, and all of them lie within `max_skew` (s). A frame that half of the cameras
+    have, two at least, is kept: for a camera that lost it stands the nearest of its frames, as -1 less its number.
+    Raises `DataError` naming two cameras and a frame where fewer than half of the frames find partners in one of them.
     """
     names, stamps = list(times), list(times.values())
     early, late = int(np.argmin([s[-1] for s in stamps])), int(np.argmax([s[0] for s in stamps]))
     if stamps[early][-1] + max_skew < stamps[late][0]:
         spans = " and ".join(f"{names[c]} {stamps[c][0]:.2f} to {stamps[c][-1]:.2f} s" for c in (early, late))
         raise DataError(f"cameras share no time: {spans}", where, "give all cameras one clock")
-    lead = min(stamps, key=len)
+    steps = [float(np.median(np.diff(s))) if len(s) > 1 else 0.0 for s in stamps]
+    slow = [c for c, step in enumerate(steps) if step * (1 + SAME_RATE) >= max(steps)]
+    lead = stamps[max(slow, key=lambda c: len(stamps[c]))]
     groups = np.stack([nearest(lead, other) for other in stamps], 1)
-    mutual = np.all([nearest(o, lead)[groups[:, c]] == np.arange(len(lead)) for c, o in enumerate(stamps)], axis=0)
+    mutual = np.stack([nearest(o, lead)[groups[:, c]] == np.arange(len(lead)) for c, o in enumerate(stamps)], 1)
     found = np.stack([other[groups[:, c]] for c, other in enumerate(stamps)], 1)
-    skew = np.ptp(found, axis=1)
-    kept = mutual & (skew <= max_skew)
-    if kept.sum() < FEWEST * len(lead):
-        frame = int(np.argmin(kept))
+    has = mutual & (np.abs(found - lead[:, None]) <= max_skew)
+    skew = np.where(has, found, -np.inf).max(1) - np.where(has, found, np.inf).min(1)
+    has &= (skew <= max_skew)[:, None]
+    if has.mean(0).min() < FEWEST:
+        frame, skew = int(np.argmin(has.all(1))), np.ptp(found, axis=1)
         first, last = names[int(found[frame].argmin())], names[int(found[frame].argmax())]
         raise DataError(
             f"cameras {first} and {last} are {skew[frame] * 1000:.0f} ms apart in frame {frame}; "
-            f"{kept.sum()} of {len(lead)} frames have a partner in every camera",
+            f"{has.all(1).sum()} of {len(lead)} frames have a partner in every camera",
             where,
             f"give all cameras one clock, or raise ingest.max_skew above {max_skew}",
         )
-    groups = groups[kept]
-    steps = [float(np.median(np.diff(s))) if len(s) > 1 else 0.0 for s in stamps]
-    alone = {
-        name: np.setdiff1d(np.arange(len(times[name])), groups[:, c])
-        for c, name in enumerate(names)
-        if steps[c] * (1 + SAME_RATE) >= max(steps)  # a faster camera has frames without partners
-    }
+    kept = has.sum(1) >= min(len(stamps), max(2, -(-len(stamps) // 2)))
+    groups = np.where(has, groups, ~groups)[kept]
+    return groups, _left_out(times, groups, slow, max_skew)
+
+
+def _left_out(times: dict[str, np.ndarray], groups: np.ndarray, slow: list[int], max_skew: float) -> list[str]:
+    """Warnings of frames that have no partners, of cameras that are no faster than others, and of those that lack some."""
+    names = list(times)
+    alone = {names[c]: np.setdiff1d(np.arange(len(times[names[c]])), groups[:, c]) for c in slow}
     counts = [f"{name} {len(frames)} of {len(times[name])}" for name, frames in alone.items() if len(frames)]
-    if not counts:
-        return groups, []
-    name, frames = next((name, frames) for name, frames in alone.items() if len(frames))
-    message = f"frames without a partner in every camera within {max_skew * 1000:g} ms left out: {', '.join(counts)}"
-    return groups, [f"{message}; first: frame {frames[0]} of {name}"]
+    warnings = []
+    if counts:
+        name, frames = next((name, frames) for name, frames in alone.items() if len(frames))
+        message = (
+            f"frames without a partner in every camera within {max_skew * 1000:g} ms left out: {', '.join(counts)}"
+        )
+        warnings.append(f"{message}; first: frame {frames[0]} of {name}")
+    lost = [f"{name} {count}" for name, count in zip(names, (groups < 0).sum(0), strict=True) if count]
+    if lost:
+        warnings.append(f"frames that a camera lost, of {len(groups)}: {', '.join(lost)}; it shows nothing there")
+    return warnings
 
 
 def nearest(stamps: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -116,17 +128,24 @@ def matched(times: np.ndarray, others: np.ndarray, within: float) -> tuple[np.nd
     return kept, partner[kept]
 
 
+def frame_times(times: list[np.ndarray], groups: np.ndarray) -> np.ndarray:
+    """Time stamps [F, C] (s) of frames as `pair_frames` has them; where a camera lost one, the mean of the others'."""
+    stamps = np.stack([own[np.where(groups[:, c] < 0, 0, groups[:, c])] for c, own in enumerate(times)], 1)
+    there = groups >= 0
+    mean = (stamps * there).sum(1) / there.sum(1)
+    return np.where(there, stamps, mean[:, None])
+
+
 def align_frames(
     times: dict[str, np.ndarray], fps: float, max_skew: float, where: str
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Frame times [F] (s, from 0), each camera's frame for them [F, C], and warnings.
+    """Frame times [F] (s, from 0), each camera's frame for them [F, C] as `pair_frames` has them, and warnings.
 
     `times`: rising time stamps (s) of each camera, one or more. Recordings at about `fps` are taken frame by frame;
     others are resampled to the nearest frames of a regular clock, without repeating one. Raises as `pair_frames`.
     """
     groups, warnings = pair_frames(times, max_skew, where)
-    stamps = np.stack([own[groups[:, c]] for c, own in enumerate(times.values())], 1)
-    clock = stamps.mean(1)
+    clock = frame_times(list(times.values()), groups).mean(1)
     if len(clock) > 1:
         period = float(np.median(np.diff(clock)))
         if abs(period * fps - 1) > SAME_RATE:

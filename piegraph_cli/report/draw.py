@@ -24,7 +24,7 @@ from piegraph_cli.workspace.run import Run
 SEQUENCES = 4
 """Pictures of single sequences are drawn of this many."""
 
-VERSION = 1
+VERSION = 2
 """Raised when pictures look different, so that they are drawn anew."""
 
 log = logging.getLogger("piegraph")
@@ -121,6 +121,8 @@ def _trial_pictures(run: Run, _: None) -> Iterator[tuple[str, Any]]:
 def _sequence_pictures(run: Run, sequence: str) -> Iterator[tuple[str, Any]]:
     got = {name: _read(run, name, sequence) for name in ("frames", "hands", "masks", "clouds", "tracks", "scores")}
     frames, tracks, clouds = got["frames"], got["tracks"], got["clouds"]
+    if frames is not None:
+        yield f"{sequence}_checks.png", figures.check_figure(_checks(frames), f"{sequence}: checks")
     contact = next((a["contact"] for a in (tracks, clouds) if a is not None), None)
     if contact is None:
         return
@@ -145,6 +147,12 @@ def _sequence_pictures(run: Run, sequence: str) -> Iterator[tuple[str, Any]]:
         f"{sequence}_tracks.png",
         figures.track_figure(tracks["positions"], true, shown, tracks["time"], hand, contact, title),
     )
+
+
+def _checks(frames: Artifact) -> list[dict[str, Any]]:
+    texts = {name: frames.texts(f"check_{name}") for name in ("name", "camera", "verdict", "text", "cause")}
+    texts["figure"] = frames["check_figure"].tolist()
+    return [dict(zip(texts, row, strict=True)) for row in zip(*texts.values(), strict=True)]
 
 
 def _moments(contact: np.ndarray, count: int = 4) -> list[int]:

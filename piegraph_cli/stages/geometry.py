@@ -50,13 +50,13 @@ def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
 def _check_clocks(arrays: dict[str, np.ndarray]) -> list[Check]:
     names = [str(name) for name in arrays["camera_name"]]
     color = ImageStack(arrays["color"], arrays["color_offsets"], len(names), "colour")
-    frames = range(len(color))
-    seen = [changes(color.grey(frame, c) for frame in frames) for c in range(len(names))]
-    return check_clocks(names, seen, list(arrays["stamp"].T))
+    kept = [np.flatnonzero(of_camera >= 0) for of_camera in arrays["source_frame"].T]
+    seen = [changes(color.grey(int(frame), c) for frame in kept[c]) for c in range(len(names))]
+    return check_clocks(names, seen, [arrays["stamp"][kept[c], c] for c in range(len(names))])
 
 
 def _chosen(depth: ImageStack) -> list[int]:
-    """The first and the last frame in which all cameras have depth, and two between."""
+    """The first and the last frame in which all cameras have depth, and two such between."""
     every = list(range(len(depth)))
 
     def seen(frame: int) -> bool:
@@ -64,7 +64,9 @@ def _chosen(depth: ImageStack) -> list[int]:
 
     first = next((f for f in every[:EMPTY_FRAMES] if seen(f)), 0)
     last = next((f for f in every[: -EMPTY_FRAMES - 1 : -1] if seen(f)), every[-1])
-    return sorted({first, first + (last - first) // 3, first + 2 * (last - first) // 3, last})
+    between = [first + (last - first) // 3, first + 2 * (last - first) // 3]
+    found = [next((f for f in every[wanted : last + 1] if seen(f)), wanted) for wanted in between]
+    return sorted({first, *found, last})
 
 
 def _refused(bad: Sequence[Finding], folder: Path) -> DataError:

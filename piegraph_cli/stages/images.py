@@ -45,8 +45,9 @@ def workspace_of(frames: Artifact) -> np.ndarray:
 
 
 def source_frames(frames: Artifact) -> np.ndarray:
-    """The recording's frame [F] that each frame of the artifact was taken from (that of the first camera)."""
-    return frames["source_frame"][:, 0]
+    """The recording's frame [F] that each frame of the artifact was taken from (that of the first camera that kept it)."""
+    source = frames["source_frame"]
+    return source[np.arange(len(source)), np.argmax(source >= 0, axis=1)]
 
 
 class Views(Sequence["list[View]"]):

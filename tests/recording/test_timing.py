@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.timing import check_times, nearest, pair_frames
+from piegraph_cli.recording.timing import check_times, frame_times, nearest, pair_frames
 
 
 def test_no_frame_is_used_twice_where_the_step_is_shorter_than_the_skew():
@@ -42,3 +42,23 @@ def test_gaps_are_said_and_small_ones_are_not():
     (said,) = check_times(np.array([0, 0.2, 0.4, 4.4, 4.6]), "t")
     assert said == "t: 4.0 s without a frame before line 4"
     assert check_times(np.array([3.0]), "t") == []
+
+
+def test_frames_that_one_of_four_cameras_lost_are_kept_and_those_of_one_camera_are_not():
+    whole = np.arange(12) / 5
+    lost = {"a": [], "b": [3, 7], "c": [4, 7], "d": [7, 9]}
+    times = {name: np.delete(whole + 0.002 * k, gone) for k, (name, gone) in enumerate(lost.items())}
+    groups, warnings = pair_frames(times, 0.05, "here")
+    assert groups[:, 0].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11]
+    assert (groups < 0).sum(0).tolist() == [0, 1, 1, 1]
+    assert ~groups[3, 1] in (2, 3), "the nearest that it has"
+    assert "left out: a 1 of 12" in warnings[0]
+    assert warnings[1] == "frames that a camera lost, of 11: b 1, c 1, d 1; it shows nothing there"
+    stamps = frame_times(list(times.values()), groups)
+    assert np.abs(stamps - stamps.mean(1, keepdims=True)).max() < 0.005
+
+
+def test_a_camera_that_lost_more_than_half_is_refused():
+    whole = np.arange(12) / 5
+    with pytest.raises(DataError, match="of 12 frames have a partner in every camera"):
+        pair_frames({"a": whole, "b": whole, "c": whole[:5]}, 0.05, "here")

@@ -5,14 +5,15 @@ JOBS ?= 2
 TORCH_INDEX ?=
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1
+LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1 libusb-1.0-0
+IMPORTS := import importlib.util, cv2, mediapipe, open3d; importlib.util.find_spec('pyrealsense2') and __import__('pyrealsense2')
 export PYTHONUNBUFFERED := 1
 
-EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search
+EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search pushes
 
 SAMPLE ?= 150
 
-.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -26,18 +27,18 @@ setup: .venv/.ready
 		echo "There is no NVIDIA GPU here, and torch brings CUDA along, 4 GB; make TORCH_INDEX=... does without: docs/install.md"; \
 	fi
 	$(PIP) install --quiet -c constraints.txt -e '.[sim,dev]'
-	@$(BIN)/python -c 'import cv2, mediapipe, open3d' 2>/dev/null || $(MAKE) --no-print-directory libraries
+	@$(BIN)/python -c "$(IMPORTS)" 2>/dev/null || $(MAKE) --no-print-directory libraries
 	$(BIN)/piegraph doctor --fetch hand-landmarker
 	@touch $@
 
-# the system libraries that open3d links; only where importing it fails
+# the system libraries that open3d and pyrealsense2 link; only where importing them fails
 libraries:
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 		apt-get update -qq && apt-get install -y -qq --no-install-recommends $(LIBRARIES); \
 	else \
-		echo "open3d needs system libraries: sudo apt-get install $(LIBRARIES)"; exit 1; \
+		echo "open3d and pyrealsense2 need system libraries: sudo apt-get install $(LIBRARIES)"; \
 	fi
-	@$(BIN)/python -c 'import cv2, mediapipe, open3d'
+	@$(BIN)/python -c 'import cv2, mediapipe, open3d'  # pyrealsense2 is for some tests alone
 
 # the whole pipeline on sample_data/, then its pictures
 demo: setup
@@ -61,7 +62,11 @@ mutants: setup
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept
 $(EXPERIMENTS): setup
-	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick)
+	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(DATA),--data "$(DATA)")
+
+# recordings that are wrong on purpose, and what ingest says of them: the table of docs/checks.md
+troubles: setup
+	$(BIN)/piegraph reproduce troubles --jobs $(JOBS) $(if $(QUICK),--quick)
 
 reproduce: setup
 	$(BIN)/piegraph reproduce all --jobs $(JOBS) $(if $(QUICK),--quick)

@@ -13,9 +13,10 @@ OPTIONAL = {
     **dict.fromkeys(("pymunk", "mujoco", "gymnasium", "trimesh", "embreex", "skimage"), "sim"),
     "rosbags": "ros",
     "viser": "view",
+    "pyrealsense2": "realsense",
     "ray": "cluster",
 }
-LIBRARIES_HINT = "on Debian or Ubuntu: sudo apt-get install libgl1 libegl1 libgles2 libx11-6 libudev1"
+LIBRARIES_HINT = "on Debian or Ubuntu: sudo apt-get install libgl1 libegl1 libgles2 libx11-6 libudev1 libusb-1.0-0"
 
 
 @dataclass(frozen=True)

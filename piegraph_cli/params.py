@@ -34,6 +34,24 @@ def _check_yaw(pose: tuple[float, float, float]) -> tuple[float, float, float]:
     return pose
 
 
+STEEPEST_SLOPE = 0.6
+"""Of a table; more is a world whose z does not point up."""
+
+
+def _plane(value: object) -> object:
+    """A height alone is a level plane."""
+    parts = split_commas(value)
+    if isinstance(parts, (int, float, str)):
+        parts = [parts]
+    return [*parts, 0.0, 0.0] if isinstance(parts, (list, tuple)) and len(parts) == 1 else parts
+
+
+def _check_slopes(table: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(abs(table[1]), abs(table[2])) > STEEPEST_SLOPE:
+        raise ValueError("a table that steep is a world whose z does not point up: give HEIGHT [m],SLOPE_X,SLOPE_Y")
+    return table
+
+
 def split_pairs(value: object) -> object:
     """`young=3e4,goal=crumpled` on the command line means a table of settings."""
     if not isinstance(value, str):
@@ -51,6 +69,8 @@ Pose2 = Annotated[tuple[float, float, float], BeforeValidator(split_commas), Aft
 Box = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(split_commas), AfterValidator(_check_box)
 ]
+Table = Annotated[tuple[float, float, float], BeforeValidator(_plane), AfterValidator(_check_slopes)]
+"""The plane z = height [m] + a x + b y in which a table lies; the height alone where it is level."""
 Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(split_commas), Field(min_length=1)]
 Lengths = Annotated[
     tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(split_commas), Field(min_length=1, max_length=3)

@@ -13,7 +13,7 @@ PACKAGE = Path(piegraph_cli.__file__).parent
 ORDER = [
     *("errors", "params", "files", "process", "weights", "kernels"),
     *("recording", "physics", "perception", "dynamics", "environments", "planning", "evaluation"),
-    *("workspace", "stages", "report", "viewer", "experiments", "bench", "doctor", "commands"),
+    *("workspace", "capture", "stages", "report", "viewer", "experiments", "bench", "doctor", "commands"),
 ]
 """Rooms and modules of the package: each imports itself and what stands before it, nothing else."""
 
@@ -21,7 +21,7 @@ CORE = ORDER[ORDER.index("recording") : ORDER.index("workspace")]
 """Works on arrays: it knows no artifacts, no stages and no command line."""
 
 FILE_LINES, FUNCTION_LINES = 350, 40
-KERNELS = {"physics/spring_kernel.py", "dynamics/network_kernel.py", "kernels/peak.py"}
+KERNELS = {"physics/spring_kernel.py", "dynamics/network_kernel.py", "dynamics/rigid_kernel.py", "kernels/peak.py"}
 
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if "pipelines" not in path.parts)
 

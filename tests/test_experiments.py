@@ -143,3 +143,36 @@ def test_differences_are_paired():
     rows = {row["model"]: row for row in summarise(of)}
     assert rows["one"]["windows"] == 40
     assert np.isnan(rows["one"]["pd_truth"][0])
+
+
+def measured(path, strokes: int = 12, **changes):
+    """A file of pushes that carry a square along, in the plane."""
+    rng = np.random.default_rng(0)
+    square = np.stack(np.meshgrid(np.linspace(-0.05, 0.05, 6), np.linspace(-0.05, 0.05, 6)), -1).reshape(-1, 2)
+    before = square + rng.uniform(-0.1, 0.1, (strokes, 1, 2))
+    after = before + np.array([0.02, 0.0])
+    start = before.mean(1) - [0.1, 0.0]
+    end = after.mean(1) - [0.06, 0.0]
+    np.savez(path, **({"before": before, "after": after, "start": start, "end": end} | changes))
+    return path
+
+
+def test_strokes_that_others_measured_end_in_a_table(tmp_path):
+    given = ["training=6", "interactions.measured=[3,6]", 'models=["static","rigid"]', "seeds=[0]"]
+    command = ("reproduce", "pushes", "--data", measured(tmp_path / "a b.npz"), "--runs", tmp_path)
+    found = piegraph_json(*command, *(word for text in given for word in ("--set", text)))["pushes"]
+    pd = {row["model"]: row["pd"][0] for row in found["predictions"]}
+    assert pd["static"] == pytest.approx(2.0, abs=0.01)
+    assert max(pd["rigid@3"], pd["rigid@6"]) < 0.1
+    assert len(found["pictures"]) == 2
+
+
+def test_what_is_no_file_of_strokes_is_refused(tmp_path):
+    assert "--data FILE.npz" in piegraph("reproduce", "pushes", "--runs", tmp_path, check=2).stderr
+    for name, wrong in (("before", np.zeros((12, 3))), ("after", np.zeros((11, 36, 2))), ("end", np.array("x"))):
+        file = measured(tmp_path / f"{name}.npz", **{name: wrong})
+        done = piegraph("reproduce", "pushes", "--data", file, "--runs", tmp_path, check=3)
+        assert str(file) in done.stderr
+    np.savez(tmp_path / "other.npz", before=np.zeros((2, 3, 2)))
+    done = piegraph("reproduce", "pushes", "--data", tmp_path / "other.npz", "--runs", tmp_path, check=3)
+    assert "no array after" in done.stderr

@@ -13,7 +13,7 @@ import torch
 import piegraph_cli
 from piegraph_cli import Model, Strokes, load_model, open_run, read_artifact, save_model, sequences
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.planning.planner import GOAL_POINTS, thinned
+from piegraph_cli.planning.goals import GOAL_POINTS, thinned
 from tests.cli import REPOSITORY, piegraph_json
 
 EXAMPLES = re.findall(r"```python\n(.*?)```", (REPOSITORY / "docs" / "python.md").read_text(), re.S)
@@ -24,6 +24,7 @@ def mine(sample_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder whose runs/mine is the demo's run."""
     folder = tmp_path_factory.mktemp("face")
     shutil.copytree(sample_run, folder / "runs" / "mine")
+    (folder / "sample_data").symlink_to(REPOSITORY / "sample_data")
     return folder
 
 

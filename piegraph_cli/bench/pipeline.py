@@ -12,7 +12,7 @@ from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, 
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
-from piegraph_cli.dynamics.params import LEARNED, EGNNParams, LearningParams
+from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams, LearningParams
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.params import PUSH
@@ -139,7 +139,7 @@ def train_rows() -> Iterator[Row]:
             seconds = median_seconds(make_trainer("piegraph", data, params).step)
             torch.set_num_threads(1)
             yield Row("train", f"a step, batch {batch}", seconds, threads, flop=3 * batch * network_flop(50, params))
-    for name, settings in LEARNED.items():
+    for name, settings in BY_GRADIENT.items():
         if name != "piegraph":
             seconds = median_seconds(make_trainer(name, data, settings()).step, 5)
             yield Row("train", f"a step of {name}, batch {settings().batch}", seconds)
@@ -148,6 +148,7 @@ def train_rows() -> Iterator[Row]:
 def make_trainer(name: str, data: Sequences, params: LearningParams, device: str = "cpu") -> Trainer:
     learner = MODELS[name].learner
     assert learner is not None
+    assert learner.examples is not None
     return Trainer(
         make_network(name, params, False, 0), learner.examples(data, params, device), None, params, 0, device
     )

@@ -1,5 +1,6 @@
 """The command that makes the paper's tables and figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,9 +19,9 @@ def reproduce(
     experiment: Annotated[
         str,
         typer.Argument(
-            help=f"{', '.join(names.experiments())}, or all (docs/experiments.md)",
+            help=f"{', '.join(names.all_experiments())}, or all of the paper's (docs/experiments.md)",
             metavar="EXPERIMENT",
-            autocompletion=lambda: [*names.experiments(), "all"],
+            autocompletion=lambda: [*names.all_experiments(), "all"],
         ),
     ],
     runs: Annotated[
@@ -30,6 +31,9 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")] = False,
     set: Annotated[
         list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
     ] = None,
     envs: Annotated[str, typer.Option(help="environments to do, as tblock,toy [default: all it has]")] = "",
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
@@ -42,18 +46,45 @@ def reproduce(
 
     Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
     """
-    from piegraph_cli.experiments.recipes import load_experiment
     from piegraph_cli.workspace.execute import Options
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
-    wanted = [experiment] if experiment != "all" else list(names.experiments())
-    of = [env.strip() for env in envs.split(",") if env.strip()]
-    chosen = {name: load_experiment(name, quick, set or (), of) for name in wanted}
+    if experiment == "troubles":
+        emit(_troubles(folder / "troubles", quick, set or (), envs, jobs), as_json)
+        return
+    chosen = _chosen(experiment, quick, set or (), envs, data)
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
     lines = [line for report in reports.values() for line in ("", *report.lines)]
     code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
     emit(Report({name: report.value for name, report in reports.items()}, lines[1:], code), as_json)
+
+
+def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jobs: int) -> Report:
+    """Recordings that are wrong on purpose, and what is said of them; fails where good ones are not left alone."""
+    from piegraph_cli.experiments.params import QUICK_TROUBLES, TroublesParams
+    from piegraph_cli.experiments.recipes import with_changes
+    from piegraph_cli.experiments.troubles import run_troubles, write_troubles
+    from piegraph_cli.params import validated
+
+    values = with_changes(dict(QUICK_TROUBLES) if quick else {}, changes)
+    values |= {"environments": envs, "good": envs} if envs else {}
+    params = validated(TroublesParams, values, "troubles", "", "correct the experiment")
+    with logging_to(folder):
+        value, lines = write_troubles(run_troubles(params, folder, jobs), folder)
+    return Report(value, lines)
+
+
+def _chosen(
+    experiment: str, quick: bool, changes: Sequence[str], envs: str, data: Path | None
+) -> "dict[str, ExperimentParams]":
+    """The settings of the experiments that are meant; all of them without data are those that need none."""
+    from piegraph_cli.experiments.recipes import load_experiment
+
+    wanted = [experiment] if experiment != "all" else [name for name in names.experiments() if data or name != "pushes"]
+    of = [env.strip() for env in envs.split(",") if env.strip()]
+    given = {"data": data} if data else {}
+    return {name: load_experiment(name, quick, changes, of).model_copy(update=given) for name in wanted}
 
 
 def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Options | None") -> Report:

@@ -28,6 +28,13 @@ def experiments() -> dict[str, str]:
     return {path.stem: _first_line(path) for path in sorted((SHIPPED / "experiments").glob("[!.]*.toml"))}
 
 
+def all_experiments() -> dict[str, str]:
+    """The same, and what else `reproduce` makes."""
+    return experiments() | {
+        "troubles": "Recordings that are wrong on purpose, and what ingest says of them (docs/checks.md)"
+    }
+
+
 def layouts() -> dict[str, str]:
     """Layouts of recordings, for `ingest --layout`."""
     return LAYOUT_HELP
@@ -37,7 +44,7 @@ KINDS = {
     "models": models,
     "environments": environments,
     "recipes": recipes,
-    "experiments": experiments,
+    "experiments": all_experiments,
     "layouts": layouts,
 }
 

@@ -11,7 +11,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from piegraph_cli import __version__
-from piegraph_cli.commands import experiments, runs, tools
+from piegraph_cli.commands import experiments, look, record, runs, tools
+from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.errors import PiegraphError
 
@@ -20,10 +21,12 @@ INTERRUPTED = 130
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
     "Runs": {"run": runs.run, "status": runs.status, "clean": runs.clean, "report": runs.report, "view": runs.view},
+    "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {
         "list": tools.list_names,
-        "calibrate": tools.calibrate,
+        "unpack": tools.unpack,
+        "calibrate": calibrate,
         "doctor": tools.doctor,
         "bench": tools.bench,
     },

@@ -28,36 +28,23 @@ def list_names(
     emit(Report(found, lines[1:] if kind is None else lines), as_json)
 
 
-def calibrate(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="recording folder whose cameras.json has K and distortion")
-    ],
-    sequence: Annotated[str | None, typer.Option(help="sequence that shows the board [default: the first]")] = None,
-    columns: Annotated[int, typer.Option(help="squares across the board")] = 7,
-    rows: Annotated[int, typer.Option(help="squares down the board")] = 5,
-    square: Annotated[float, typer.Option(help="edge of a square [m]")] = 0.04,
-    marker: Annotated[float, typer.Option(help="edge of a marker [m]")] = 0.03,
-    dictionary: Annotated[str, typer.Option(help="OpenCV's name of the marker dictionary")] = "DICT_5X5_100",
+def unpack(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="folder of ROS bags")],
+    out: Annotated[Path, typer.Option(help="folder to write sequences and cameras.json to")],
     as_json: AsJson = False,
 ) -> None:
-    """Locate the cameras by a ChArUco board.
+    """Write the sequences of ROS bags as image files, for `calibrate`."""
+    from tqdm import tqdm
 
-    The board lies on the table; its middle becomes the origin of the world, z up. Fills T_world_camera in cameras.json,
-    and notes there which sequence shows the board: runs leave it out.
-    """
-    from piegraph_cli.recording.calibration import Board
-    from piegraph_cli.recording.locate import calibrate as locate
+    from piegraph_cli.recording.folders import list_sequences
+    from piegraph_cli.recording.unpack import unpack as write_sequence
 
-    found = locate(recording, sequence, Board(columns, rows, square, marker, dictionary))
-    lines = [
-        f"{one.name:12s} {one.error:5.2f} px{''.join(f'  {text}' for text in one.warnings)}" for one in found.cameras
-    ]
-    lines += ["the board has the layout from before OpenCV 4.6"] if found.board.legacy else []
-    lines += [f"sequence {found.sequence} shows the board: runs leave it out"]
-    cameras = {
-        one.name: {"error_px": one.error, "frames_px": one.frames, "warnings": one.warnings} for one in found.cameras
-    }
-    emit(Report({"cameras": cameras, "sequence": found.sequence, "legacy_board": found.board.legacy}, lines), as_json)
+    written, lines = [], []
+    for bag in tqdm(list_sequences(recording, "ros"), desc="unpack", leave=False, disable=None):
+        name, count, notes = write_sequence(bag, out)
+        written.append({"sequence": name, "images": count, "warnings": notes})
+        lines += [f"{name}  {count} images of each camera", *(f"  {note}" for note in notes)]
+    emit(Report({"out": str(out), "sequences": written}, lines), as_json)
 
 
 def doctor(

@@ -1,7 +1,7 @@
 """A dataset: strokes cut from the hand's path and contact, training pairs of frames, a split by sequence."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,9 @@ from piegraph_cli.params import PICK
 
 NO_STROKE = "check the hand with `piegraph report`, or lower min_stroke"
 UNSEEN = "the object is hardly seen: look at the clouds with `piegraph report`, or lower min_seen"
+
+SEEN = 0.1
+"""Least visibility of a particle whose place counts as known."""
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -33,6 +36,8 @@ class Found:
     """Frames in which too little of the object is seen."""
     strokes_lost: int = 0
     """Strokes of which nothing is left, since the object was not seen."""
+    particles_unseen: float = 0.0
+    """Share of the particles, over the frames of its strokes, whose places are not known."""
     pairs_lost: int = 0
     """Pairs left out since the object was not seen in one of their frames."""
 
@@ -64,6 +69,7 @@ def build_dataset(
         frames += len(tracks[name]["time"])
     arrays = {
         "positions": np.concatenate([a["positions"] for a in tracks.values()]),
+        "seen": np.concatenate([known_particles(a) for a in tracks.values()]),
         "end_effector": np.nan_to_num(np.concatenate([a["end_effector"][:, :2] for a in tracks.values()])),
         "strokes": np.array(columns["strokes"]),
         "stroke_sequence": np.array(columns["owner"]),
@@ -80,16 +86,30 @@ def build_dataset(
 
 def find_strokes(artifact: Arrays, params: DatasetParams) -> Found:
     """The strokes and pairs of one sequence: its frames that are seen, counted against what all of them would give."""
-    seen = artifact["visibility"].mean(1) >= params.min_seen
+    particles = known_particles(artifact)
+    seen = particles.mean(1) >= params.min_seen
+    if "trust/doubt" in artifact:
+        seen &= artifact["trust/doubt"] <= params.max_doubt
     kept = _strokes_in(artifact, seen, params)
+    within = [particles[first : last + 1] for first, last in kept.strokes]
+    unseen = float(1 - np.concatenate(within).mean()) if within else 0.0
     if seen.all():
-        return kept
+        return replace(kept, particles_unseen=unseen)
     whole = _strokes_in(artifact, np.ones_like(seen), params)
     left = [((kept.strokes[:, 0] <= last) & (kept.strokes[:, 1] >= first)).any() for first, last in whole.strokes]
     pairs_lost = sum(map(len, whole.pairs)) - sum(map(len, kept.pairs))
-    return Found(
-        kept.strokes, kept.follows, kept.pairs, kept.cut, int((~seen).sum()), len(left) - sum(left), max(0, pairs_lost)
+    return replace(
+        kept,
+        unseen=int((~seen).sum()),
+        strokes_lost=len(left) - sum(left),
+        particles_unseen=unseen,
+        pairs_lost=max(0, pairs_lost),
     )
+
+
+def known_particles(artifact: Arrays) -> np.ndarray:
+    """Particles [F, N] whose places are known: those of which some is seen."""
+    return artifact["visibility"] >= SEEN
 
 
 def _strokes_in(artifact: Arrays, seen: np.ndarray, params: DatasetParams) -> Found:

@@ -36,6 +36,8 @@ class Sequences:
     """[P, 2] two frames of a stroke."""
     pair_stroke: np.ndarray
     """[P] the stroke of each pair."""
+    seen: np.ndarray | None = None
+    """[F, N] particles whose places are known, or None where all are."""
 
     @property
     def picks(self) -> bool:
@@ -73,11 +75,14 @@ class Pairs:
         neighbors: int,
         device: str = "cpu",
         *,
+        seen: np.ndarray | None = None,
         shape_weight: float = 0.1,
         mirror: bool = False,
         turn: bool = False,
     ):
         """`rest` [S, N, 3] (m): objects at rest; `owner` [P]: the object of each pair; `grasp` [P]: its grasped particle.
+
+        `seen` [P, N]: the particles that teach, all by default.
 
         `mirror` reflects half of the pairs in y, `turn` turns each about the vertical, anew in every step.
         """
@@ -87,6 +92,7 @@ class Pairs:
         self.strokes = strokes.to(torch.float32).to(device)
         self.rest = Rest.of(at_rest, neighbors)
         self.owner, self.grasp = (torch.as_tensor(np.asarray(a, np.int64), device=device) for a in (owner, grasp))
+        self.seen = None if seen is None else torch.as_tensor(seen, device=device)
         self.shape_weight, self.mirror, self.turn = shape_weight, mirror, turn
 
     @classmethod
@@ -99,7 +105,8 @@ class Pairs:
         strokes = Strokes.of(data.hand[first], data.hand[last], data.mode[stroke], held)
         start, end = data.positions[first], data.positions[last]
         owner, grasp = data.owner[stroke], data.grasped()[stroke]
-        return cls(start, end, strokes, data.rest, owner, grasp, neighbors, device, **settings)
+        seen = None if data.seen is None else data.seen[first] & data.seen[last]
+        return cls(start, end, strokes, data.rest, owner, grasp, neighbors, device, seen=seen, **settings)
 
     @property
     def picks(self) -> bool:
@@ -115,7 +122,9 @@ class Pairs:
             start, end = move_in_plane(start, planar), move_in_plane(end, planar)
             strokes = strokes.moved(planar)
             rest = Rest(move_in_plane(rest.positions, planar), rest.neighbors)
-        return dynamics_loss(network(start, strokes, rest, self.grasp[chosen]), end, rest.neighbors, self.shape_weight)
+        seen = None if self.seen is None else self.seen[chosen]
+        predicted = network(start, strokes, rest, self.grasp[chosen])
+        return dynamics_loss(predicted, end, rest.neighbors, self.shape_weight, seen)
 
     def __len__(self) -> int:
         return len(self.start)
@@ -151,6 +160,12 @@ class Window:
     """[B] 0 push, 1 pick."""
     grasp: torch.Tensor
     """[B] the particle nearest to the hand where the stroke began."""
+    seen: torch.Tensor | None = None
+    """[B, R, N] particles of the future whose places are known, or None where all are."""
+
+    def known(self, step: int) -> torch.Tensor | None:
+        """The particles [B, N] that are known `step` frames after the next, or None where all are."""
+        return None if self.seen is None else self.seen[:, step]
 
 
 class Windows:
@@ -187,6 +202,7 @@ class Windows:
         self.positions, self.hand = (
             torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (data.positions, data.hand)
         )
+        self.seen = None if data.seen is None else torch.as_tensor(data.seen, device=device)
         self.noise, self.turn = noise, turn
 
     def loss(self, network: nn.Module, chosen: torch.Tensor, rng: np.random.Generator | None = None) -> torch.Tensor:
@@ -199,6 +215,7 @@ class Windows:
             self.valid[chosen],
             self.mode[chosen],
             self.grasp[chosen],
+            None if self.seen is None else self.seen[after[:, 1:]],
         )
         return network.loss(window if rng is None else self._vary(window, rng))  # type: ignore[operator]
 
@@ -210,7 +227,7 @@ class Windows:
             planar = planar_motions(rng, len(past), False, True).to(past)
             past, future = move_in_plane(past, planar), move_in_plane(future, planar)
             hand = hand @ planar.transpose(1, 2)
-        return Window(past, hand, future, window.valid, window.mode, window.grasp)
+        return Window(past, hand, future, window.valid, window.mode, window.grasp, window.seen)
 
     def __len__(self) -> int:
         return len(self.past)

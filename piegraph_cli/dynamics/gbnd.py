@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, gather_neighbors, small_linear
 from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import GBNDParams
 
 HISTORY = 3
@@ -77,14 +78,17 @@ class GBND(nn.Module):
         """Mean squared particle error plus `edge_weight` times that of neighbours' distances, in dm^2."""
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
-            target, hand = window.future[:, k], window.hand[:, k]
+            target, hand, seen = window.future[:, k], window.hand[:, k], window.known(k)
             x = self.step(past, hand, window.hand[:, k + 1])
-            error = ((x - target) * DECIMETRE).square().sum(-1).mean(-1)
+            error = mean_seen(((x - target) * DECIMETRE).square().sum(-1), seen)
             neighbors = self.graph(target, hand)[0][..., :-1]
             lengths = [
                 ((p[:, :, None] - gather_neighbors(p, neighbors)).square().sum(-1) + 1e-12).sqrt() for p in (x, target)
             ]
-            stretch = ((lengths[0] - lengths[1]) * DECIMETRE).square().mean((-1, -2))
+            stretch = ((lengths[0] - lengths[1]) * DECIMETRE).square()
+            if seen is not None:
+                stretch = stretch * gather_neighbors(seen[..., None].to(stretch), neighbors)[..., 0]
+            stretch = mean_seen(stretch.mean(-1), seen)
             total = total + ((error + self.params.edge_weight * stretch) * window.valid[:, k]).mean()
             past = torch.cat([past[:, 1:], x[:, None]], 1)
         return total / window.future.shape[1]

@@ -16,14 +16,16 @@ from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import (
     TRAINED_AS,
     EGNNParams,
+    FittedParams,
     GBNDParams,
     GraphParams,
-    LearningParams,
     PGNDParams,
     PredictionParams,
+    RigidParams,
     SMSParams,
     split_label,
 )
+from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
@@ -41,7 +43,7 @@ class Trained:
     """What a model has learned."""
 
     network: nn.Module
-    settings: LearningParams
+    settings: FittedParams
     pace: float
     """Metres that the hand moved between two frames of the training data."""
     modes: tuple[int, ...]
@@ -56,8 +58,8 @@ class Learner:
 
     network: Callable[[Any, bool], nn.Module]
     """From its settings, and whether there are picks in the data."""
-    examples: Callable[[Sequences, Any, str], Examples]
-    """From training sequences and settings, on a device."""
+    examples: Callable[[Sequences, Any, str], Examples] | None
+    """From training sequences and settings, on a device; None for a `RigidBody`, which fits itself."""
     predict: Callable[[Trained, torch.Tensor], Predict]
     """For an object at rest [N, 3] (m)."""
 
@@ -134,6 +136,13 @@ def _springs_alone(network: sms.SMS, rest: torch.Tensor) -> Predict:
     return predict
 
 
+def _pushed(trained: Trained, rest: torch.Tensor) -> Predict:
+    body = trained.network
+    assert isinstance(body, RigidBody)
+    frame = body_frame(rest.cpu().numpy(), body.shape.cpu().numpy())
+    return lambda positions, strokes: body.predict(positions, strokes, rest, frame)
+
+
 def _guided(rest: torch.Tensor, params: PredictionParams) -> Correct:
     graph = build_springs(rest.cpu().numpy(), params.spring_radius)
     return lambda positions, setpoint: spring_kernel.guide(positions, setpoint, graph, params)
@@ -157,6 +166,10 @@ def _pgnd(params: PGNDParams, picks: bool) -> pgnd.PGND:
 
 def _gbnd(params: GBNDParams, picks: bool) -> gbnd.GBND:
     return gbnd.GBND(params)
+
+
+def _rigid_body(params: RigidParams, picks: bool) -> RigidBody:
+    return RigidBody(params)
 
 
 def _windows(history: int) -> Callable[[Sequences, Any, str], Windows]:
@@ -188,6 +201,7 @@ MODELS: dict[str, Model] = {
     "sms-o": Model(_SPRINGS),
     "pgnd": Model(Learner(_pgnd, _windows(pgnd.HISTORY + 1), _frame_by_frame(pgnd.HISTORY + 1))),
     "gbnd": Model(Learner(_gbnd, _windows(gbnd.HISTORY), _frame_by_frame(gbnd.HISTORY))),
+    "rigid": Model(Learner(_rigid_body, None, _pushed)),
     "static": Model(),
 }
 """What they are, in words: `dynamics.params.MODEL_HELP`."""
@@ -229,7 +243,7 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     return predict
 
 
-def make_network(name: str, settings: LearningParams, picks: bool, seed: int) -> nn.Module:
+def make_network(name: str, settings: FittedParams, picks: bool, seed: int) -> nn.Module:
     """A network with fresh weights, drawn from the seed; `picks` where the data has picks."""
     torch.manual_seed(seed)
     learner = MODELS[name].learner

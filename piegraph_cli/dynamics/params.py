@@ -21,6 +21,7 @@ ModelName = Literal[
     "sms-o",
     "pgnd",
     "gbnd",
+    "rigid",
     "static",
 ]
 MODEL_HELP: dict[str, str] = {
@@ -34,6 +35,7 @@ MODEL_HELP: dict[str, str] = {
     "sms-o": "springs pushed by a disc, their numbers fitted by gradient",
     "pgnd": "Particle-Grid Neural Dynamics",
     "gbnd": "graph-based neural dynamics with a tool node",
+    "rigid": "a rigid body pushed over a table: an analytic model, five numbers fitted",
     "static": "nothing moves: the floor of every comparison",
 }
 """What each model is, in a line."""
@@ -95,6 +97,9 @@ class DatasetParams(Params):
     min_stroke: float = Field(0.01, ge=0.001, description="shortest stroke that is kept [m]")
     max_bend: float = Field(0.025, gt=0, description="a push that strays further from a straight line is cut there [m]")
     min_seen: float = Field(0.5, ge=0, le=1, description="frames in which less of the object is seen are no examples")
+    max_doubt: float = Field(
+        0.03, gt=0, description="frames whose tracks are expected to be further off are no examples [m]"
+    )
     seed: int = Field(0, ge=0, description="seed of the split")
     train_names: Names = Field((), description="sequences to train on, by name, in place of numbers")
     validation_names: Names = Field((), description="sequences to choose the checkpoint on, by name")
@@ -112,8 +117,12 @@ class DatasetParams(Params):
         return self
 
 
-class LearningParams(Params):
-    """How any model is trained."""
+class FittedParams(Params):
+    """Settings of what any model learns from a dataset."""
+
+
+class LearningParams(FittedParams):
+    """How a model is trained by gradient."""
 
     learning_rate: float = Field(2e-3, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(1e-4, ge=0, description="AdamW weight decay")
@@ -198,6 +207,16 @@ class GBNDParams(StepParams):
     edge_weight: float = Field(0.05, ge=0, description="weight of the loss on edge lengths")
 
 
+class RigidParams(FittedParams):
+    """What is thought of a rigid body before its strokes are seen."""
+
+    alpha: float = Field(
+        1.8, ge=1, description="coarsest triangles of the outline, times those that join the particles"
+    )
+    friction: float = Field(0.25, gt=0, description="friction with the pusher, before strokes are seen")
+    reach: float = Field(0.01, gt=0, description="distance of the pusher's centre from the outermost particles [m]")
+
+
 class TrainParams(Params):
     """Settings of `train`: which models, from which seeds, and a table of settings for each."""
 
@@ -223,16 +242,17 @@ class TrainParams(Params):
     sms_o: SMSParams = Field(SMSParams(), alias="sms-o", description="its settings")
     pgnd: PGNDParams = Field(PGNDParams(), description="its settings")
     gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
+    rigid: RigidParams = Field(RigidParams(), description="its settings")
     variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
 
     def seeds_of(self, label: str) -> tuple[int, ...]:
         """The seeds that a model is trained from."""
         return self.model_seeds.get(trained_label(label) or label, self.seeds)
 
-    def of(self, label: str) -> LearningParams:
+    def of(self, label: str) -> FittedParams:
         """The settings of one model. Raises `UsageError` for a variant that is not declared or does not fit the model."""
         name, variant, _ = split_label(label)
-        settings: LearningParams = getattr(self, name.replace("-", "_"))
+        settings: FittedParams = getattr(self, name.replace("-", "_"))
         if not variant:
             return settings
         key = f"{name}:{variant}"
@@ -243,12 +263,15 @@ class TrainParams(Params):
         )
 
 
-LEARNED: dict[str, type[LearningParams]] = {
+LEARNED: dict[str, type[FittedParams]] = {
     name.replace("_", "-"): type(field.default)
     for name, field in TrainParams.model_fields.items()
-    if isinstance(field.default, LearningParams)
+    if isinstance(field.default, FittedParams)
 }
 """What can be trained, by name, with its settings."""
+
+BY_GRADIENT: dict[str, type[LearningParams]] = {n: of for n, of in LEARNED.items() if issubclass(of, LearningParams)}
+"""Those of them that learn step by step."""
 
 
 class ModelParams(Params):
@@ -256,7 +279,7 @@ class ModelParams(Params):
 
     label: str = Field(description="model; after : a variant, after @ the number of training sequences")
     seed: int = Field(ge=0, description="seed of weights, batches and choice of sequences")
-    settings: SerializeAsAny[LearningParams] = Field(description="settings of the model")
+    settings: SerializeAsAny[FittedParams] = Field(description="settings of the model")
     checkpoint_every: int = Field(500, ge=1, description="steps between checkpoints")
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
 

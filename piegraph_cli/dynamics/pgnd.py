@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, small_linear
 from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import PGNDParams
 
 FRAME = 0.2
@@ -136,7 +137,7 @@ class PGND(nn.Module):
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
             x = self.step(past, window.hand[:, k], window.hand[:, k + 1])
-            error = (x - window.future[:, k]).square().sum(-1).mean(-1)
+            error = mean_seen((x - window.future[:, k]).square().sum(-1), window.known(k))
             total = total + 100 * (error * window.valid[:, k]).mean()
             past = torch.cat([past[:, 1:], x[:, None]], 1)
         return total / window.future.shape[1]

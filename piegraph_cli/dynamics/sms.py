@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE
 from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import SMSParams
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK
@@ -80,7 +81,10 @@ class WholeStrokes:
             first, last = data.strokes[data.owner == index].T
             graph = build_springs(data.rest[index], radius)
             states = (torch.as_tensor(data.positions[rows], device=device) for rows in (first, last))
-            self.sequences.append((graph, strokes[torch.as_tensor(data.owner == index)], *states))
+            seen = None
+            if data.seen is not None:
+                seen = torch.as_tensor(data.seen[first] & data.seen[last], device=device)
+            self.sequences.append((graph, strokes[torch.as_tensor(data.owner == index)], *states, seen))
 
     def __len__(self) -> int:
         return len(self.sequences)
@@ -90,8 +94,7 @@ class WholeStrokes:
         assert isinstance(network, SMS)
         errors = []
         for index in chosen.tolist():
-            graph, strokes, start, end = self.sequences[index]
-            errors.append(
-                ((network.move(simulation.push, start, strokes, graph) - end) * DECIMETRE).square().sum(-1).mean()
-            )
+            graph, strokes, start, end, seen = self.sequences[index]
+            error = (network.move(simulation.push, start, strokes, graph) - end) * DECIMETRE
+            errors.append(mean_seen(error.square().sum(-1), seen).mean())
         return torch.stack(errors).mean()

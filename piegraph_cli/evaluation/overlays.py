@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from piegraph_cli.perception.look import Look
 from piegraph_cli.recording.camera import Camera
 
 MASK_COLOR = (255, 0, 200)
 HAND_COLOR = (255, 210, 0)
 TIP_COLOR = (255, 40, 40)
+PARTICLE_COLOR = (255, 255, 0)
 BONES = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (5, 9), (9, 10), (10, 11), (11, 12), (9, 13)]
 BONES += [(13, 14), (14, 15), (15, 16), (13, 17), (17, 18), (18, 19), (19, 20), (0, 17)]
 
@@ -85,3 +87,15 @@ def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
             top, left = r * (height + gap), c * (width + gap)
             sheet[top : top + image.shape[0], left : left + image.shape[1]] = image
     return sheet
+
+
+def look_sheet(color: Sequence[np.ndarray], cameras: Sequence[Camera], seen: Look) -> np.ndarray:
+    """The images of one look, two in a row: the object's mask and particles, numbers on it and on other things."""
+    yellow = np.tile(np.array(PARTICLE_COLOR, np.uint8), (len(seen.chosen), 1))
+    images = []
+    for c, (image, camera) in enumerate(zip(color, cameras, strict=True)):
+        things = [seen.masks[c], *(masks[c] for masks in seen.others)]
+        drawn = draw_things(image, things) if seen.others else draw_mask(image, things[0])
+        drawn = draw_particles(drawn, seen.chosen, camera, yellow)
+        images.append(label(drawn, f"{camera.name}: {seen.verdict}"))
+    return tile([images[k : k + 2] for k in range(0, len(images), 2)])

@@ -21,8 +21,8 @@ def window_metrics(
     """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
 
     `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2], and whether each stroke follows [S] on
-    the one before with nothing unknown in between: where one does not, no window goes on. `true` [F, N, 3] (m) or None. The
-    model predicts on `device`.
+    the one before with nothing unknown in between: where one does not, no window goes on. Particles that were not `seen`
+    [2, S, N] before the window or after it do not count. `true` [F, N, 3] (m) or None. The model predicts on `device`.
     """
     count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
@@ -40,10 +40,14 @@ def window_metrics(
             if not sequence["follows"][window + 1 : last + 1].all():
                 continue
             found, target = positions[window].cpu().numpy(), sequence["after"][last]
+            known = sequence["seen"][0, window] & sequence["seen"][1, last]
+            joined = edges[known[edges].all(1)]
+            if not len(joined):
+                continue
             metrics = [
-                chamfer_distance(found, target),
-                shape_error(found, target, edges),
-                particle_distance(found, target),
+                chamfer_distance(found[known], target[known]),
+                shape_error(found, target, joined),
+                particle_distance(found[known], target[known]),
             ]
             at_end = None if true is None else true[sequence["frames"][last, 1]]
             metrics.append(float("nan") if at_end is None else particle_distance(found, at_end))

@@ -61,18 +61,26 @@ def error_grid(metrics: dict[str, Metrics]) -> Figure:
 
 
 def interaction_figure(metrics: dict[str, Metrics]) -> Figure:
-    """PD over the number of training sequences, a line per horizon; bands: 95 % intervals."""
+    """PD over the number of training sequences, a line per horizon of `piegraph`, or per model where there is one horizon.
+
+    Bands: 95 % intervals.
+    """
     figure = Figure(figsize=(max(3.0 * len(metrics), 5.0), 3.4), layout="constrained")
     for axes, (env, of) in zip(figure.subplots(1, len(metrics), squeeze=False)[0], metrics.items(), strict=True):
-        sized = {label: int(n) for label in of for name, _, n in [label.partition("@")] if n and name == "piegraph"}
-        rows = [row | {"count": sized[row["model"]]} for row in summarise(of) if row["model"] in sized]
-        for horizon in sorted({row["horizon"] for row in rows}):
-            own = sorted((row for row in rows if row["horizon"] == horizon), key=lambda row: row["count"])
-            mean, low, high = np.array([row["pd"] for row in own]).T
-            counts = [row["count"] for row in own]
-            axes.plot(counts, mean, "o-", ms=4, label=f"{horizon} strokes ahead")
+        rows = [(name, int(n), row) for row in summarise(of) for name, _, n in [row["model"].partition("@")] if n]
+        one = len({row["horizon"] for _, _, row in rows}) == 1
+        lines: dict[str, list] = {}
+        for name, count, row in rows:
+            if one or name == "piegraph":
+                label = name if one else f"{row['horizon']} strokes ahead"
+                lines.setdefault(label, []).append((count, *row["pd"]))
+        for label, points in lines.items():
+            counts, mean, low, high = np.array(sorted(points)).T
+            axes.plot(counts, mean, "o-", ms=4, label=label)
             axes.fill_between(counts, low, high, alpha=0.15, lw=0)
-        axes.set(title=env, xlabel="training sequences", ylabel="PD of piegraph [cm]", xticks=counts)
+        of_whom = "" if one else " of piegraph"
+        axes.set(title=env, xlabel="training sequences", ylabel=f"PD{of_whom} [cm]")
+        axes.set_xticks(sorted({count for _, count, _ in rows}))
         axes.set_ylim(bottom=0)
         axes.legend(fontsize=7)
     return figure

@@ -1,13 +1,17 @@
 """Settings of experiments: which runs, which models, and the table they end in."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from piegraph_cli.dynamics.params import Labels, trained_label
-from piegraph_cli.environments.params import EnvironmentName
+from piegraph_cli.environments.params import EnvironmentName, Environments
 from piegraph_cli.params import Counts, Params, Thresholds
 from piegraph_cli.planning.params import TrialLabels
+
+MEASURED = "measured"
+"""In place of an environment: strokes that others measured."""
 
 
 class ExperimentTrials(Params):
@@ -26,8 +30,12 @@ class ExperimentParams(Params):
 
     title: str = Field(description="what it shows")
     table: Literal["dynamics", "guidance", "interactions", "search"] = Field(description="the table it ends in")
-    interactions: dict[EnvironmentName, Counts] = Field(description="training sequences, by environment", min_length=1)
+    interactions: dict[EnvironmentName | Literal["measured"], Counts] = Field(
+        description="training sequences, by environment", min_length=1
+    )
     models: Labels = Field(description="models to compare, by name")
+    also: dict[EnvironmentName, Labels] = Field({}, description="further models in some environments")
+    data: Path | None = Field(None, description="file or folder of strokes that others measured, for `import`")
     variants: dict[str, dict[str, Any]] = Field({}, description="as `train.variants`")
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = Field(
         (0, 1, 2), description="seeds of training"
@@ -56,8 +64,9 @@ class ExperimentParams(Params):
     def labels(self, environment: str) -> list[str]:
         """The models to compare in an environment, each with its number of training sequences."""
         counts = self.interactions[environment]  # type: ignore[index]
-        return [_on(model, count) for count in counts for model in self.models if trained_label(model)] + [
-            model for model in self.models if not trained_label(model)
+        models = (*self.models, *self.also.get(environment, ()))  # type: ignore[call-overload]
+        return [_on(model, count) for count in counts for model in models if trained_label(model)] + [
+            model for model in models if not trained_label(model)
         ]
 
     def trial_labels(self, environment: str) -> list[str]:
@@ -65,6 +74,24 @@ class ExperimentParams(Params):
         assert self.trials is not None
         counts = self.interactions[environment]  # type: ignore[index]
         return list(dict.fromkeys(_on(model, n) for n in counts for model in self.trials.models))
+
+
+class TroublesParams(Params):
+    """The experiment `troubles`: recordings that are wrong on purpose, and good ones."""
+
+    environments: Environments = Field(
+        ("tblock", "toy", "rope-bendy", "tshirt"), description="objects of the recordings that are wrong"
+    )
+    good: Environments = Field(
+        ("tblock", "toy", "rope-bendy", "tshirt", "rope-stiff", "cloth"), description="objects of the good ones"
+    )
+    noises: tuple[float, ...] = Field((0.3, 1.0, 2.5), description="noise of the good ones, times a D455's")
+    recordings: tuple[Path, ...] = Field((), description="further good recordings")
+    strokes: int = Field(2, ge=1, description="strokes per sequence")
+    seed: int = Field(11, ge=0, description="seed of the simulation")
+
+
+QUICK_TROUBLES: dict[str, Any] = {"environments": ["tblock"], "good": ["tblock"], "noises": [1.0], "strokes": 1}
 
 
 def _on(model: str, count: int) -> str:

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from piegraph_cli.dynamics.params import LEARNED, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import BY_GRADIENT, TrainParams, split_label, trained_label
 from piegraph_cli.errors import UsageError
-from piegraph_cli.experiments.params import ExperimentParams
+from piegraph_cli.experiments.params import MEASURED, ExperimentParams
 from piegraph_cli.params import validated
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import SHIPPED, Recipe, load_recipe
@@ -39,18 +39,23 @@ def load_experiment(
         raise UsageError(f"no experiment {name}", hint=f"one of {', '.join(names())}, all")
     values = tomllib.loads(path.read_text())
     smaller = values.pop("quick", {})
-    values = values | smaller if quick else values
-    for text in changes:
-        try:
-            values = _merge(values, tomllib.loads(text))
-        except tomllib.TOMLDecodeError:
-            raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
+    values = with_changes(values | smaller if quick else values, changes)
     has = values["interactions"]
     if environments and isinstance(has, dict):
         values["interactions"] = {env: counts for env, counts in has.items() if env in environments}
         if not values["interactions"]:
             raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=f"of {', '.join(has)}")
     return validated(ExperimentParams, values, name, str(path), "correct the experiment")
+
+
+def with_changes(values: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """Values with those of SETTING=VALUE texts in their place."""
+    for text in changes:
+        try:
+            values = _merge(values, tomllib.loads(text))
+        except tomllib.TOMLDecodeError:
+            raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
+    return values
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -63,21 +68,28 @@ def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def recipe_of(params: ExperimentParams, environment: str, recording: Path | None) -> Recipe:
-    """The shipped recipe of an environment with the experiment's models, seeds and sizes."""
-    recipe = load_recipe(SHIPPED / f"{environment}.toml", STAGES)
+    """The shipped recipe of an environment with the experiment's models, seeds and sizes.
+
+    What others measured is a `recording` for `import`, and models have their settings of the T-block.
+    """
+    measured = environment == MEASURED
+    recipe = load_recipe(SHIPPED / f"{'tblock' if measured else environment}.toml", STAGES)
 
     def put(stage: str, **values: Any) -> None:
         nonlocal recipe
         recipe = recipe.with_values(STAGES[stage], values, "experiment", Path.cwd())
 
-    if recording is None:
+    if recording is None and not measured:
         put("simulate", sequences=params.training + params.validation + params.test, strokes=params.strokes)
     else:
         simulate = recipe.sections["simulate"]
         recipe = replace(recipe, sections={k: v for k, v in recipe.sections.items() if k != "simulate"})
-        put("ingest", recording=str(recording.resolve()))
-        if simulate.get("modes") or environment in ("tshirt", "cloth"):
-            put("track", mode="pick")
+        if recording is None or measured:
+            put("import", sources=[str(recording.resolve())] if recording else [])
+        else:
+            put("ingest", recording=str(recording.resolve()))
+            if simulate.get("modes") or environment in ("tshirt", "cloth"):
+                put("track", mode="pick")
     put("dataset", train=params.training, validation=params.validation)
     put("train", seeds=list(params.seeds), variants=params.variants)
     train = recipe.params(STAGES["train"])
@@ -86,9 +98,15 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
     trained = list(dict.fromkeys(own for label in labels if (own := trained_label(label))))
     put("train", models=trained or ["piegraph"])
     if params.steps != 1:
-        put("train", **{f"{name}.steps": max(10, round(train.of(name).steps * params.steps)) for name in LEARNED})
+        steps = {name: train.of(name).model_dump()["steps"] for name in BY_GRADIENT}
+        put("train", **{f"{name}.steps": max(10, round(count * params.steps)) for name, count in steps.items()})
     put("evaluate", models=labels, horizons=list(params.horizons))
     return recipe
+
+
+def recording_of(params: ExperimentParams, environment: str, folder: Path) -> Path | None:
+    """Where what an environment's run reads lies under the experiment's folder; None where it simulates itself."""
+    return folder / "recordings" / environment if params.recordings or environment == MEASURED else None
 
 
 def _repeats(label: str, labels: Sequence[str], train: TrainParams) -> bool:

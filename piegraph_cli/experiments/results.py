@@ -5,7 +5,7 @@ from pathlib import Path
 
 from piegraph_cli.evaluation.trials import Trial
 from piegraph_cli.experiments.params import ExperimentParams
-from piegraph_cli.experiments.recipes import recipe_of, trial_recipe
+from piegraph_cli.experiments.recipes import recipe_of, recording_of, trial_recipe
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.stages.evaluate import read_metrics
 from piegraph_cli.stages.train import split_model
@@ -34,7 +34,7 @@ def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
     trials: list[Trial] = []
     shown: dict[str, dict[str, Artifact]] = {}
     for environment in params.interactions:
-        recording = folder / "recordings" / environment if params.recordings else None
+        recording = recording_of(params, environment, folder)
         own = folder / (f"{environment}-recorded" if params.recordings else environment)
         run = open_run(own, recipe_of(params, environment, recording))
         metrics[environment] = read_metrics(run)[0]

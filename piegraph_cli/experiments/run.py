@@ -8,8 +8,9 @@ from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.experiments.figures import draw
-from piegraph_cli.experiments.params import ExperimentParams
-from piegraph_cli.experiments.recipes import recipe_of, trial_recipe
+from piegraph_cli.experiments.measured import write_strokes
+from piegraph_cli.experiments.params import MEASURED, ExperimentParams
+from piegraph_cli.experiments.recipes import recipe_of, recording_of, trial_recipe
 from piegraph_cli.experiments.results import read_results
 from piegraph_cli.experiments.tables import describe
 from piegraph_cli.files import atomic_file
@@ -26,9 +27,11 @@ def run_experiment(name: str, params: ExperimentParams, folder: Path, options: O
     failed: list[PiegraphError] = []
     last = "train" if params.table == "search" else "evaluate"
     for environment in params.interactions:
-        own, recording = folder / environment, None
-        if params.recordings:
-            own, recording = folder / f"{environment}-recorded", folder / "recordings" / environment
+        own, recording = folder / environment, recording_of(params, environment, folder)
+        if environment == MEASURED:
+            write_strokes(params.data, folder / "recordings" / environment)
+        elif recording:
+            own = folder / f"{environment}-recorded"
             _render(recording, params, environment, options.jobs)
         recipe = recipe_of(params, environment, recording)
         log.info("%s: %s", name, own)

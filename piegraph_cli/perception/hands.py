@@ -157,7 +157,7 @@ def lift_hands(
         rays[f, c], points[f, c] = lift(landmarks_px[f, c], depth(f, c), cameras[c])
     measured = merge_rays(origins, rays, points)
     for k in range(LANDMARKS):
-        measured[~_slow_chain(measured[:, k], times, max_speed), k] = np.nan
+        measured[~slow_chain(measured[:, k], times, max_speed), k] = np.nan
     observed = np.isfinite(measured).all(axis=2).mean(axis=1) >= 0.5
     keypoints = fill_gaps(np.where(observed[:, None, None], measured, np.nan), times, max_gap)
     across = _across(measured[:, None] - origins[:, None], rays)
@@ -256,7 +256,7 @@ def _reweighted_step(x: np.ndarray, origins: np.ndarray, rays: np.ndarray, point
     return x + np.linalg.solve(total, pull)[..., 0]
 
 
-def _slow_chain(positions: np.ndarray, times: np.ndarray, max_speed: float) -> np.ndarray:
+def slow_chain(positions: np.ndarray, times: np.ndarray, max_speed: float) -> np.ndarray:
     """The largest set of frames [F] bool whose positions [F, 3] can be visited one after another within `max_speed`."""
     known = np.flatnonzero(np.isfinite(positions).all(axis=1))
     length = np.ones(len(known), int)

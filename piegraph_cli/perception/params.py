@@ -11,11 +11,14 @@ from piegraph_cli.params import Params
 class HandsParams(Params):
     """Settings of `hands`."""
 
-    later = ("source",)
+    later = ("source", "stick_radius")
 
-    source: Literal["auto", "hand", "file"] = Field(
-        "auto", description="where the end-effector is from; auto: from the recording where it has one, else the hand"
+    source: Literal["auto", "hand", "file", "stick", "glove"] = Field(
+        "auto",
+        description="what the end-effector is: a hand, what the recording has of it, a round stick or a hand in a glove by "
+        "depth alone; auto: from the recording where it has one, else the hand",
     )
+    stick_radius: float = Field(0.01, gt=0, le=0.03, description="radius of the stick [m]")
     hand_model: Path | None = Field(None, description="hand_landmarker.task file (default: the fetched one)")
     max_gap: float = Field(0.5, ge=0, description="longest gap in the hand's path that is filled [s]")
 

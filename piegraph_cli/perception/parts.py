@@ -12,6 +12,8 @@ from piegraph_cli.recording.camera import Camera
 
 CELL = 0.005
 """Cell size (m) of the table grid on which the cameras vote."""
+FEWEST_SHARED = 4
+"""Cells that two views must both see of a thing."""
 LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + 12)
 """Of the values of a channel, the dark ones brought together."""
 PATTERN = 3
@@ -96,7 +98,9 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
 
     low, high = np.asarray(workspace, float)[:2].T
     shape = tuple(np.ceil((high - low) / CELL).astype(int) + 1)
-    votes = sum(cells(v.points[v.candidates], low, shape).astype(int) for v in views) >= min(2, len(views))
+    votes = np.sum([cells(v.points[v.candidates], low, shape) for v in views], axis=0) >= min(2, len(views))
+    if len(views) == 2:
+        votes = _with_sides(votes, views, low)
     hand = np.logical_or.reduce([cells(v.points[v.hand], low, shape) for v in views])
 
     def part(grid: np.ndarray, pieces: tuple[Part, ...] = ()) -> Part:
@@ -117,6 +121,22 @@ def parts_of(views: Sequence[View], workspace: np.ndarray, params: SegmentParams
         pieces = _large(np.where(grid, narrow, 0), params.min_area)
         found.append(part(grid, tuple(part(piece) for piece in pieces) if len(pieces) > 1 else ()))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _with_sides(votes: np.ndarray, views: Sequence[View], low: np.ndarray) -> np.ndarray:
+    """The cells [X, Y] bool that both views vote for, and those connected to them of what stands there for one of them.
+
+    Two views on opposite sides of a thing share but its top, and of a rope hardly that.
+    """
+    from scipy.ndimage import binary_closing, label
+
+    loose = votes.copy()
+    for view in views:
+        loose |= cells(view.points[view.tall], low, votes.shape)
+    regions, _ = label(binary_closing(loose, np.ones((3, 3))), np.ones((3, 3)))
+    both = np.bincount(regions[votes], minlength=regions.max() + 1) >= FEWEST_SHARED
+    both[0] = False
+    return loose & both[regions]
 
 
 def _closed(grid: np.ndarray, cells: int) -> np.ndarray:
@@ -202,6 +222,9 @@ def hue_and_light(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _opened(mask: np.ndarray) -> np.ndarray:
+    """A mask [H, W] without what is thinner than two pixels: a thin rope has no three."""
     import cv2
 
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)
+    kernel = np.ones((2, 2), np.uint8)
+    eroded = cv2.erode(mask.astype(np.uint8), kernel, anchor=(0, 0))
+    return cv2.dilate(eroded, kernel, anchor=(1, 1)).astype(bool)

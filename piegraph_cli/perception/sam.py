@@ -51,8 +51,8 @@ def segment_sequence(
     Source: paper, section III-D (SAM).
     """
     predictor = import_segment_anything().SamPredictor(sam)
-    given = images[seed_frame], depths[seed_frame], camera, hand_px[seed_frame]
-    seed = _seed(predictor, *given, seed_frame, seed_mask, prompt)
+    first = images[seed_frame], depths[seed_frame], camera, hand_px[seed_frame]
+    seed = _seed(predictor, *first, seed_frame, seed_mask, prompt)
     lifted = lifted_to(tips, len(hand_px))
     model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed, lifted)
     masks = np.zeros((len(hand_px), *seed.shape), bool)

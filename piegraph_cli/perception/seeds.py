@@ -53,21 +53,19 @@ def find_object(
     frames = np.unique(np.linspace(0, len(hand_px) - 1, min(len(hand_px), MAX_TRIED)).astype(int))
     chooser = Chooser(images, depths, cameras, np.full((len(hand_px), 3), np.nan) if tips is None else tips, params)
 
-    def parts_in(f: int, box: np.ndarray = workspace) -> list[Part]:
-        seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], box, params) for c, k in enumerate(cameras))
-        return parts_of(list(seen), box, params)
+    def parts_in(f: int, box: np.ndarray = workspace, given: SegmentParams = params) -> list[Part]:
+        seen = (view_of(images[c][f], depths[c][f], k, hand_px[f, c], box, given) for c, k in enumerate(cameras))
+        return parts_of(list(seen), box, given)
 
     best = _clearest(frames, chooser, parts_in)
     if best is None:
-        raise _not_found(len(frames), cameras)
+        raise _not_found(frames, cameras, params, lambda f, given: parts_in(f, given=given))
     frame, choice = apart_elsewhere(chooser, *best, parts_in) or best
     warnings = [*_doubts(frame, choice, cameras), *told_cut(choice.part, workspace, partial(parts_in, frame))]
     return ObjectSeed(frame, choice.part.masks, choice.others, warnings)
 
 
-def _clearest(
-    frames: Sequence[int], chooser: Chooser, parts_in: Callable[[int], list[Part]]
-) -> tuple[int, Choice] | None:
+def _clearest(frames: np.ndarray, chooser: Chooser, parts_in: Callable[[int], list[Part]]) -> tuple[int, Choice] | None:
     """The choice in the first of the frames in which it is clear of the hand and of rivals, else in the best one."""
     best: tuple[int, Choice] | None = None
     several = False
@@ -87,11 +85,27 @@ def _clearest(
     return best
 
 
-def _not_found(tried: int, cameras: Sequence[Camera]) -> DataError:
+def _not_found(
+    frames: np.ndarray,
+    cameras: Sequence[Camera],
+    params: SegmentParams,
+    parts_in: Callable[[int, SegmentParams], Sequence[Part]],
+) -> DataError:
+    """The error, with what would find something: thresholds at a half are tried on the first frame."""
+    weaker = [
+        (f"segment.{name} = {getattr(params, name) / 2:g}", params.model_copy(update={name: getattr(params, name) / 2}))
+        for name in ("min_contrast", "min_height", "min_area")
+    ]
+    found = [
+        f"with {setting} there is something at x, y = ({x:+.2f}, {y:+.2f}) m"
+        for setting, given in weaker
+        for x, y in [part.centre for part in parts_in(frames[0], given)[:1]]
+    ]
+    usual = "check ingest.workspace and the table plane (z = 0), or lower segment.min_height or segment.min_contrast"
     return DataError(
-        f"no object found: nothing inside the workspace stands out from the table in {tried} frames tried",
+        f"no object found: nothing inside the workspace stands out from the table in {len(frames)} frames tried",
         f"cameras {', '.join(camera.name for camera in cameras)}",
-        "check --workspace and the table plane (z = 0), or lower --min-height or --min-contrast",
+        "; ".join(found) or usual,
     )
 
 

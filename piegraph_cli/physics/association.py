@@ -1,6 +1,6 @@
 """Which observed points belong to which particle: rigid alignment, then soft assignment calibrated in the first frame.
 
-One state at a time, in PyTorch. What is done with the setpoints found here is in `tracking`.
+One state at a time, in PyTorch. A surface is a place and a unit normal per point, [P, 6]. What is done with the setpoints found here is in `tracking`.
 """
 
 import numpy as np
@@ -14,6 +14,9 @@ OUTLIER_SHARE = 0.1 * float(np.exp(-0.5 * 2.5**2))  # weight of "no particle": a
 FAR = -60.0  # exponents end here, since processors are slow at numbers too small to be normal
 TRIM = 0.8  # share of pairs, the nearest ones, that an alignment uses
 ALIGNED = 1e-4  # metres; an alignment that moves no particle further has converged
+INERTIA = 0.02  # weight of staying where it was, beside a weight of one for all particles and one for all points
+_METRIC = torch.tensor([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # opposite normals are as far apart as 4 cm
+_SOFT_METRIC = torch.tensor([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
 NEIGHBOURS = 12  # particles that, with a particle, tell how its surroundings have turned
 RIGID_SHARE = 0.1  # weight of the whole object's rotation beside theirs
 
@@ -24,48 +27,69 @@ def thin(cloud: np.ndarray, count: int) -> Tensor:
     return torch.as_tensor(np.asarray(cloud, np.float32)[chosen])
 
 
-def align(positions: Tensor, cloud: Tensor, rounds: int = 10) -> Tensor:
-    """Move particles [N, 3] rigidly onto a cloud [P, 3] (m): two-sided trimmed iterative closest points.
+def align(
+    particles: Tensor, cloud: Tensor, seen: Tensor, whole: int, upright: bool = False, rounds: int = 10
+) -> Tensor:
+    """Move particles [N, 6] rigidly onto a cloud [P, 6]: two-sided trimmed iterative closest points.
 
-    Every particle is paired with its nearest point and every point with its nearest particle, both sides weighing the
-    same; the farthest fifth of each is left out, so that what is hidden or stray does not pull.
+    Both are places (m) and unit normals. Every particle that is `seen` [N] is paired with its nearest point and every
+    point with its nearest particle; the farthest fifth of each is left out, so that what is stray does not pull. Where
+    little is seen of the `whole` points that the object has, a pull back to the start decides what these leave open.
     """
-    sides = torch.cat([torch.full((len(side),), 1 / len(side)) for side in (positions, cloud)])
+    start, count = particles[:, :3], len(particles)
+    shares = (
+        seen / count,
+        torch.full((len(cloud),), 1 / max(len(cloud), whole)),
+        torch.full((count,), INERTIA / count),
+    )
+    weights = torch.cat(shares)
+    always = torch.ones(count, dtype=torch.bool)
     for _ in range(rounds):
-        distance = torch.cdist(positions, cloud)
+        distance = torch.cdist(particles * _METRIC, cloud * _METRIC)
         to_point, point = distance.min(1)
         to_particle, particle = distance.min(0)
-        near = torch.cat([to_point <= to_point.quantile(TRIM), to_particle <= to_particle.quantile(TRIM)])
-        source = torch.cat([positions, positions[particle]])
-        target = torch.cat([cloud[point], cloud])
-        rotation, translation = kabsch(source[None], target[None], (sides * near)[None])
-        before, positions = positions, positions @ rotation[0].T + translation[0]
-        if float((positions - before).abs().max()) < ALIGNED:
+        usual = to_point[seen] if seen.any() else to_point
+        near = torch.cat([to_point <= usual.quantile(TRIM), to_particle <= to_particle.quantile(TRIM), always])
+        places = particles[:, :3]
+        source = torch.cat([places, places[particle], places])
+        target = torch.cat([cloud[point, :3], cloud[:, :3], start])
+        rotation, translation = kabsch(source[None], target[None], (weights * near)[None], upright)
+        particles = moved(particles, rotation[0], translation[0])
+        if float((particles[:, :3] - places).abs().max()) < ALIGNED:
             break
-    return positions
+    return particles
 
 
-def misfit(positions: Tensor, cloud: Tensor) -> float:
-    """Mean distance (m) between particles [N, 3] and a cloud [P, 3], both ways, each without its farthest fifth."""
-    distance = torch.cdist(positions, cloud)
-    sides = (distance.amin(1), distance.amin(0))
+def moved(particles: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
+    """Places and normals [N, 6] turned by a rotation [3, 3] and shifted by a translation [3] (m)."""
+    return torch.cat([particles[:, :3] @ rotation.T + translation, particles[:, 3:] @ rotation.T], 1)
+
+
+def misfit(particles: Tensor, cloud: Tensor, seen: Tensor) -> float:
+    """Mean distance (m) between particles and a cloud, [N, 6] and [P, 6], both ways, each without its farthest fifth.
+
+    Normals count as in `align`. Particles that are not `seen` [N] explain points, but need none near them.
+    """
+    distance = torch.cdist(particles * _METRIC, cloud * _METRIC)
+    sides = (distance.amin(1)[seen] if seen.any() else distance.amin(1), distance.amin(0))
     return sum(float(side.sort().values[: max(1, int(TRIM * len(side)))].mean()) for side in sides) / 2
 
 
-def soft_means(positions: Tensor, cloud: Tensor, scale: float) -> tuple[Tensor, Tensor]:
-    """Mean of the points [P, 3] assigned to each particle [N, 3], and the sum of their weights: [N, 3] m, [N].
+def soft_means(particles: Tensor, cloud: Tensor, scale: float) -> tuple[Tensor, Tensor]:
+    """Mean of the points [P, 6] assigned to each particle [N, 6], and the sum of their weights: [N, 3] m, [N].
 
-    A point divides itself among the particles by a Gaussian of width `scale` (m), or goes to none of them. A particle
-    that gets nothing stays in place. Source: coherent point drift (Myronenko and Song, 2010), expectation step.
+    Both are places (m) and unit normals. A point divides itself among the particles by a Gaussian of width `scale` (m),
+    or goes to none of them. A particle that gets nothing stays in place. Source: coherent point drift (Myronenko and
+    Song, 2010), expectation step; normals are ours: without them a side that comes into view pulls on the top.
     """
-    particles, points = positions / scale, cloud / scale
-    exponent = torch.addmm(-0.5 * particles.square().sum(1)[:, None], particles, points.t())
+    nodes, points = particles * _SOFT_METRIC / scale, cloud * _SOFT_METRIC / scale
+    exponent = torch.addmm(-0.5 * nodes.square().sum(1)[:, None], nodes, points.t())
     exponent -= 0.5 * points.square().sum(1)
     kernel = exponent.clamp_(FAR, 0).exp_()
     per_point = 1 / (kernel.sum(0) + OUTLIER_SHARE)
     total = kernel @ per_point
-    means = kernel @ (cloud * per_point[:, None]) / total.clamp_min(1e-9)[:, None]
-    return torch.where(total[:, None] > 1e-6, means, positions), total
+    means = kernel @ (cloud[:, :3] * per_point[:, None]) / total.clamp_min(1e-9)[:, None]
+    return torch.where(total[:, None] > 1e-6, means, particles[:, :3]), total
 
 
 class SoftAssignment:
@@ -77,13 +101,17 @@ class SoftAssignment:
     """
 
     def __init__(self, positions: Tensor, cloud: Tensor, scales: tuple[float, ...]):
-        """positions [N, 3] and cloud [P, 3] of the first frame, scales: the widths (m) to calibrate."""
+        """Positions [N, 3] (m) and cloud [P, 6] of the first frame, scales: the widths (m) to calibrate."""
         self.rest = positions
+        distance = torch.cdist(cloud[:, :3], positions)
+        self.owner = distance.argmin(1)
+        self.beside, self.cloud_normals = cloud[:, :3] - positions[self.owner], cloud[:, 3:]
+        self.normals = cloud[distance.argmin(0), 3:]
         near = cKDTree(positions.numpy()).query(positions.numpy(), k=min(NEIGHBOURS + 1, len(positions)))[1]
         self.near = torch.as_tensor(near).reshape(len(positions), -1)
         self.offset, self.total = {}, {}
         for scale in scales:
-            means, total = soft_means(positions, cloud, scale)
+            means, total = soft_means(torch.cat([positions, self.normals], 1), cloud, scale)
             self.offset[scale], self.total[scale] = means - positions, total.clamp_min(1e-6)
 
     def rotations(self, positions: Tensor) -> Tensor:
@@ -96,12 +124,22 @@ class SoftAssignment:
         prior = RIGID_SHARE * rest.square().sum((1, 2))[:, None, None] * whole.transpose(1, 2)
         return best_rotation(rest.transpose(1, 2) @ now + prior)
 
+    def oriented(self, positions: Tensor, rotations: Tensor) -> Tensor:
+        """Particles [N, 3] (m) with their normals as their surroundings have turned, [N, 6]."""
+        return torch.cat([positions, (rotations @ self.normals[:, :, None])[:, :, 0]], 1)
+
+    def carried(self, positions: Tensor, rotations: Tensor) -> Tensor:
+        """The first frame's cloud [P, 6], each of its points carried along by the particle nearest to it there."""
+        turned = rotations[self.owner]
+        places = positions[self.owner] + (turned @ self.beside[:, :, None])[:, :, 0]
+        return torch.cat([places, (turned @ self.cloud_normals[:, :, None])[:, :, 0]], 1)
+
     def setpoint(self, positions: Tensor, cloud: Tensor, scale: float, rotations: Tensor) -> tuple[Tensor, Tensor]:
-        """Where the particles [N, 3] belong in a cloud [P, 3] (m), and the share of its first weight each still has.
+        """Where the particles [N, 3] (m) belong in a cloud [P, 6], and the share of its first weight each still has.
 
         The share, [N], is at most 1. rotations: what `rotations` returned, for these or slightly earlier positions.
         """
-        means, total = soft_means(positions, cloud, scale)
+        means, total = soft_means(self.oriented(positions, rotations), cloud, scale)
         offset = (rotations @ self.offset[scale][:, :, None])[:, :, 0]
         return means - offset, (total / self.total[scale]).clamp_max(1)
 

@@ -4,8 +4,12 @@ import torch
 from torch import Tensor
 
 
-def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def kabsch(
+    source: Tensor, target: Tensor, weights: Tensor | None = None, upright: bool = False
+) -> tuple[Tensor, Tensor]:
     """Best proper rotation R [B, 3, 3] and translation t [B, 3] (m), so that R x + t is closest to the target.
+
+    An `upright` rotation turns about the vertical alone.
 
     source, target: [B, N, 3] metres; weights: [B, N] or [N], not negative. Never a reflection. Where points leave the
     rotation open (all on a line), one of the best is returned. Source: Kabsch (1976). The paper has no rigid fit: it
@@ -16,6 +20,10 @@ def kabsch(source: Tensor, target: Tensor, weights: Tensor | None = None) -> tup
     share = (weights / weights.sum(-1, keepdim=True).clamp_min(1e-12)).expand(source.shape[:2])[..., None]
     source_mean, target_mean = (share * source).sum(1, keepdim=True), (share * target).sum(1, keepdim=True)
     covariance = (share * (source - source_mean)).transpose(1, 2) @ (target - target_mean)
+    if upright:
+        level = covariance[:, :2, :2]
+        covariance = torch.nn.functional.pad(level, (0, 1, 0, 1))
+        covariance[:, 2, 2] = level.abs().sum((1, 2)) + 1e-9
     rotation = best_rotation(covariance)
     translation = target_mean[:, 0] - (rotation @ source_mean[:, 0, :, None])[..., 0]
     return rotation, translation

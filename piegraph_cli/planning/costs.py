@@ -13,11 +13,11 @@ Cost = Callable[[torch.Tensor], torch.Tensor]
 
 
 def make_cost(kind: str, goal: torch.Tensor, particles: int) -> Cost:
-    """A function from positions [B, N, 3] (m) to their distance from the goal [G, 3] (m): [B].
+    """A function from positions [B, N, 3] (m) to their distance from the goal [G, 3] or [K, N, 3] (m): [B].
 
-    `distance`: mean distance of corresponding particles (G = N); `chamfer`: mean of the two mean nearest-point distances;
-    `emd`: mean distance under the best one-to-one assignment (earth mover's distance), the goal thinned to N points.
-    Source: paper, III-E and IV-A.
+    `distance`: mean distance of corresponding particles, to the nearest of the goal's poses [K, N, 3]; `chamfer`: sum of the
+    two mean nearest-point distances; `emd`: mean distance under the best one-to-one assignment (earth mover's distance),
+    the goal thinned to N points. Source: paper, III-E and IV-A.
     """
     if len(goal) == 0 or not torch.isfinite(goal).all():
         raise DataError("the goal has no points, or points that are not finite", hint="give another --goal")
@@ -30,17 +30,18 @@ def make_cost(kind: str, goal: torch.Tensor, particles: int) -> Cost:
             )
         thinned = goal[torch.as_tensor(farthest_point_sample(goal.cpu().numpy(), particles))]
         return lambda positions: _earth_mover(positions, thinned)
-    if len(goal) != particles:
+    poses = goal if goal.dim() == 3 else goal[None]
+    if poses.shape[1] != particles:
         raise DataError(
-            f"the goal has {len(goal)} points, the object {particles} particles: they do not correspond",
-            hint="use --cost chamfer",
+            f"the goal has {poses.shape[1]} points, the object {particles} particles: they do not correspond",
+            hint="use --cost emd",
         )
-    return lambda positions: (positions - goal).norm(dim=-1).mean(-1)
+    return lambda positions: torch.stack([(positions - pose).norm(dim=-1).mean(-1) for pose in poses]).amin(0)
 
 
 def _chamfer(positions: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
     distances = torch.cdist(positions, goal.expand(len(positions), -1, -1))
-    return 0.5 * (distances.amin(1).mean(-1) + distances.amin(2).mean(-1))
+    return distances.amin(1).mean(-1) + distances.amin(2).mean(-1)
 
 
 def _earth_mover(positions: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:

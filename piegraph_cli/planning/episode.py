@@ -10,9 +10,10 @@ import torch
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
+from piegraph_cli.planning.goals import Goal
 from piegraph_cli.planning.mpc import Step, run_episode
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.planner import Goal, Tool, check_inside, make_planner
+from piegraph_cli.planning.planner import Tool, check_inside, make_planner, metric
 from piegraph_cli.planning.search import Plan
 
 
@@ -29,6 +30,8 @@ class Episode:
     """To the goal, by the planner's cost, metres."""
     end_distance: float
     """NaN where nothing was carried out."""
+    metric: str
+    """What distances are: `distance` of particles, `emd` or `chamfer`."""
 
     @property
     def strokes(self) -> Strokes | None:
@@ -64,7 +67,9 @@ def play(
     """
     state, _ = environment.reset(seed=int(np.random.SeedSequence([params.seed, 0, start]).generate_state(1)[0]))
     rng = np.random.default_rng([params.seed, 1, goal])
-    wanted = choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal(environment.goal(rng), True)
+    wanted = (
+        choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal.of_particles(environment.goal(rng))
+    )
     tool, seed = tool_of(environment), [params.seed, 2, start, goal]
     cost, make_plan = make_planner(trained, state, wanted, params, tool, seed, device)
 
@@ -79,7 +84,7 @@ def play(
 
     steps = list(run_episode(state, look, act, cost, strokes=params.strokes, success=params.success))
     first = float(cost(torch.as_tensor(state)[None])[0])
-    return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first)
+    return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first, metric(params, wanted))
 
 
 def tool_of(environment: Any) -> Tool:
@@ -98,7 +103,7 @@ def plan_once(
     cost, make_plan = make_planner(trained, state, goal, params, Tool(), [params.seed, 2, 0, 0], device)
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
-        return Episode(state, goal.points, [], start, start)
+        return Episode(state, goal.points, [], start, start, metric(params, goal))
     plan = make_plan(torch.as_tensor(state))
     if plan is None:
         raise DataError(
@@ -114,4 +119,4 @@ def plan_once(
         )
         steps.append(Step(later, before, unknown, float("nan"), False, 0.0))
         before = plan.predicted[k].numpy()
-    return Episode(state, goal.points, steps, start, float("nan"))
+    return Episode(state, goal.points, steps, start, float("nan"), metric(params, goal))

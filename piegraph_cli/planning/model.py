@@ -10,10 +10,11 @@ from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
-from piegraph_cli.physics.tracking import choose_particles
+from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
+from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.planner import Goal, move_in_plane, thinned
+from piegraph_cli.recording.ground import level, moved
 
 STATE_POINTS = 20_000
 """A cloud of more is thinned to these before particles are chosen among them."""
@@ -66,12 +67,14 @@ class Model:
         """The next strokes for an object whose cloud or particles are `state` [P, 3] (m), P at least `particles`.
 
         The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, or a
-        motion of the object (DX, DY (m), DYAW (rad)). Settings are those of `piegraph plan`. No strokes where the goal is
+        motion of the object (DX, DY (m), DYAW (rad)). Both lie in the world of the table that the settings name; what is
+        planned has the table at z = 0. Settings are those of `piegraph plan`. No strokes where the goal is
         reached already. Raises `UsageError` for settings, and `DataError` for states and goals, that cannot be used.
         """
         values = self.settings.model_dump() | {"model": self.label, "goal_pose": goal_pose} | settings
         params = validated(PlanParams, values, "plan", "Model.plan", "piegraph plan --help")
-        cloud = _points(state, "state")
+        T = level(params.table or (0, 0, 0))
+        cloud = moved(_points(state, "state"), T)
         if len(cloud) < self.particles:
             raise DataError(
                 f"{len(cloud)} points, the model needs {self.particles} or more", "state", "give the whole cloud"
@@ -79,10 +82,12 @@ class Model:
         seen = choose_particles(thinned(cloud, STATE_POINTS), self.particles).astype(np.float32)
         if (goal is None) == (goal_pose is None):
             raise DataError("one goal is needed", "plan", "give goal or goal_pose")
-        if params.goal_pose is None:
-            target = Goal(_points(goal, "goal"), corresponds)
+        if params.goal_pose is not None:
+            target = Goal.of_particles(move_in_plane(seen, params.goal_pose))
+        elif corresponds:
+            target = Goal.of_particles(moved(_points(goal, "goal"), T))
         else:
-            target = Goal(move_in_plane(seen, params.goal_pose), True)
+            target = Goal.of_cloud(moved(_points(goal, "goal"), T), cloud, seen)
         return plan_once(self.trained, seen, target, params, self.device)
 
 

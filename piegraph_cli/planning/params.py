@@ -13,9 +13,14 @@ from piegraph_cli.environments.params import (
     Environments,
     EnvironmentSettings,
 )
-from piegraph_cli.params import Box, Modes, Params, Pose2, Thresholds, split_commas
+from piegraph_cli.params import Box, Modes, Params, Pose2, Table, Thresholds, split_commas
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
+
+
+def _file_and_frame(text: str) -> tuple[Path, int | None]:
+    file, colon, frame = text.rpartition(":")
+    return (Path(file), int(frame)) if colon and frame.lstrip("-").isdigit() else (Path(text), None)
 
 
 class PlanParams(PredictionParams, EnvironmentParams):
@@ -25,13 +30,22 @@ class PlanParams(PredictionParams, EnvironmentParams):
     """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
-    state: Path | None = Field(None, description="cloud of the object now (.ply, .npz, .h5): print the next strokes")
+    state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
     goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
+    table: Table | None = Field(
+        None,
+        description="plane of the table in the world of --state and --goal: HEIGHT [m], or HEIGHT,SLOPE_X,SLOPE_Y "
+        "(default: as ingest.table)",
+    )
+    frame: Literal["world", "robot"] = Field("world", description="whose coordinates strokes are told in")
+    cameras: Path | None = Field(
+        None, description="cameras.json with T_world_robot, for --frame robot (default: the recording's)"
+    )
     model: Label = Field("piegraph", description=f"model that predicts: {MODEL_NAMES}")
     cost: Literal["auto", "distance", "chamfer", "emd"] = Field(
         "auto",
-        description="particle, chamfer or earth mover's distance; auto: the first where particles correspond, else chamfer",
+        description="particle, earth mover's or chamfer distance; auto: the first if goal and object have one shape, else emd",
     )
     modes: Modes = Field((), description="kinds of strokes: push, pick (default: what model and environment both know)")
     planner: Literal["cem", "mppi", "greedy"] = Field(
@@ -71,18 +85,35 @@ class PlanParams(PredictionParams, EnvironmentParams):
     def goal_file(self) -> tuple[Path, int | None]:
         """The goal's file and frame, from FILE or FILE:FRAME."""
         assert self.goal is not None
-        file, colon, frame = self.goal.rpartition(":")
-        return (Path(file), int(frame)) if colon and frame.lstrip("-").isdigit() else (Path(self.goal), None)
+        return _file_and_frame(self.goal)
+
+    def state_place(self) -> tuple[Path, int | None]:
+        """The file or folder of the state, and the frame, from PLACE or PLACE:FRAME."""
+        assert self.state is not None
+        return _file_and_frame(str(self.state))
+
+    def _framed(self) -> dict[str, tuple[Path, int | None]]:
+        goal = {"goal": self.goal_file()} if self.goal else {}
+        return goal | ({"state": self.state_place()} if self.state else {})
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings, and the frames of goal and state: of these files alone the content counts.
+
+        Without how a plan is told; a table at z = 0 and no file with the robot are left out.
+        """
+        frames = {f"{name}_frame": frame for name, (_, frame) in self._framed().items() if frame is not None}
+        unsaid = {"frame"} | ({"table"} if not any(self.table or ()) else set()) | ({"cameras"} - {*self.files()})
+        return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 
     def files(self) -> dict[str, Path]:
-        """As for all settings, and the goal's file."""
-        return super().files() | ({"goal": self.goal_file()[0]} if self.goal else {})
+        """As for all settings, and the goal's file; without frames."""
+        return super().files() | {name: file for name, (file, _) in self._framed().items()}
 
     def placed(self, base: Path) -> dict[str, str]:
-        """As for all settings; the goal's frame stays behind its file."""
-        places = super().placed(base)
-        frame = self.goal_file()[1] if self.goal else None
-        return places if frame is None else places | {"goal": f"{places['goal']}:{frame}"}
+        """As for all settings; a frame stays behind its file."""
+        places, framed = super().placed(base), self._framed()
+        frames = {name: f"{places[name]}:{frame}" for name, (_, frame) in framed.items() if frame is not None}
+        return places | frames
 
 
 class TrialsParams(EnvironmentParams):

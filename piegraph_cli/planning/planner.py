@@ -11,26 +11,14 @@ from piegraph_cli.dynamics.params import trained_label
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH, mode_number, mode_word
 from piegraph_cli.planning.costs import Cost, make_cost
+from piegraph_cli.planning.goals import Goal
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, Search
 
-GOAL_POINTS = 2_000
-"""A goal cloud of more is thinned to these: what is planned does not depend on how densely a camera sees."""
-
 MakePlan = Callable[[torch.Tensor], Plan | None]
 """From particles now [N, 3] (m); None where no stroke is feasible."""
-
-
-@dataclass(frozen=True)
-class Goal:
-    """Where the object shall be."""
-
-    points: np.ndarray
-    """[G, 3] metres."""
-    corresponds: bool
-    """Whether its points are the object's particles, one by one."""
 
 
 @dataclass(frozen=True)
@@ -57,21 +45,30 @@ def make_planner(
     `trained` is None where `params.model` is not trained. The search is on `device`, all that is given and returned on the CPU.
     """
     check_inside(goal.points, params, "the goal")
-    kind = params.cost if params.cost != "auto" else "distance" if goal.corresponds else "chamfer"
-    target = torch.as_tensor(goal.points if goal.corresponds else thinned(goal.points, GOAL_POINTS))
+    kind = metric(params, goal)
+    target = torch.as_tensor(goal.points if kind != "distance" or goal.particles is None else goal.particles)
     cost = make_cost(kind, target, len(state))
     needed = trained_label(params.model) is not None and params.planner != "greedy"
     modes = choose_modes(params, trained.modes if needed and trained else None, tool.modes)
     if params.planner == "greedy":
-        if PICK not in modes or not goal.corresponds:
+        if PICK not in modes or goal.particles is None:
             raise UsageError("the greedy planner picks, and needs to know which particle belongs where", "plan.planner")
-        return cost, lambda positions: put_worst_right(positions, target, cost)
+        places = torch.as_tensor(goal.particles[0])
+        return cost, lambda positions: put_worst_right(positions, places, cost)
     rest = torch.as_tensor(state, device=device)
     predict = make_predict(params.model, trained, rest, params)
     space = stroke_space(rest, params, modes, pusher_radius(params, tool))
     generator = torch.Generator(device).manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     record = rest.is_cuda and recordable(params.model) and len(modes) == 1 and kind != "emd"
     return cost, Search(predict, make_cost(kind, target.to(rest), len(state)), space, params, generator, record)
+
+
+def metric(params: PlanParams, goal: Goal) -> str:
+    """What distance decides: the one asked for; of particles where their goal is known; else earth mover's.
+
+    Chamfer distance does not tell a turned thing from one in place: it is used on demand alone.
+    """
+    return params.cost if params.cost != "auto" else "emd" if goal.particles is None else "distance"
 
 
 def pusher_radius(params: PlanParams, tool: Tool) -> float:
@@ -145,20 +142,3 @@ def check_inside(points: np.ndarray, params: PlanParams, what: str) -> None:
             f"{what} lies around ({x:.2f}, {y:.2f}) m, outside plan.workspace",
             hint="points are metres in the world frame; correct them, or widen --workspace",
         )
-
-
-def thinned(points: np.ndarray, most: int) -> np.ndarray:
-    """At most so many of the points [P, 3], at random but always the same, in their order."""
-    if len(points) <= most:
-        return points
-    return points[np.sort(np.random.default_rng(0).choice(len(points), most, replace=False))]
-
-
-def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:
-    """Points [N, 3] (m) turned by DYAW (rad) about their centre and moved by DX, DY (m)."""
-    dx, dy, yaw = motion
-    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    centre = points[:, :2].mean(0)
-    moved = points.copy()
-    moved[:, :2] = (points[:, :2] - centre) @ rotation.T + centre + [dx, dy]
-    return moved.astype(np.float32)

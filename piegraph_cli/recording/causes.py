@@ -118,6 +118,8 @@ _UPS = (
     ),
 )
 _DEPTHS = (_AS_IS, *(_Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0)))
+ALIKE = 0.004, 1.0, 30.0
+"""Metres and degrees between the tables of cameras that see the same one, and the most it is tilted."""
 MOST_CHANGES = 3, 2
 """Slips that may come together; with depth among them: of many combinations one would fit by chance."""
 
@@ -163,6 +165,7 @@ def find_cause(
         _swapped(suspect, names, poses, worst)
         or _changed(bad, poses, depth_scales, worst, table)
         or _scaled(bad, faults, poses, names, table)
+        or (_leaning([planes[c][0] for c in bad], [poses[c] for c in bad], bad) if len(bad) == len(poses) else None)
     )
     if found:
         return found
@@ -276,3 +279,24 @@ def _scaled(
         fits = fits[:1]
     who = "" if len(bad) == len(poses) else f" in {listed([names[c] for c in bad])}, or the pose is off"
     return Cause(", or ".join(f[1] for f in fits) + who, "; or ".join(f[2] for f in fits), tuple(bad))
+
+
+def _leaning(tables: Sequence[Plane], poses: Sequence[np.ndarray], bad: Sequence[int]) -> Cause | None:
+    """The same plane in all cameras, tilted against z: the world was laid otherwise."""
+    normals = np.array([-T[:3, :3] @ plane.normal for plane, T in zip(tables, poses, strict=True)])
+    centres = np.array([T[:3, :3] @ plane.centre + T[:3, 3] for plane, T in zip(tables, poses, strict=True)])
+    normal = normals.mean(0) / max(float(np.linalg.norm(normals.mean(0))), 1e-12)
+    middle = centres.mean(0)
+    apart = float(np.abs((centres - middle) @ normal).max())
+    askew = float(np.degrees(np.arccos(np.clip(normals @ normal, -1, 1))).max())
+    if apart > ALIKE[0] or askew > ALIKE[1] or normal[2] < np.cos(np.radians(ALIKE[2])):
+        return None
+    a, b = -normal[:2] / normal[2]
+    height = middle[2] - a * middle[0] - b * middle[1]
+    angle = float(np.degrees(np.arccos(np.clip(normal[2], -1, 1))))
+    return Cause(
+        f"the table is tilted by {angle:.1f} deg{' alike in all cameras' if len(bad) > 1 else ''}",
+        "level the cameras with `piegraph calibrate RECORDING --table`, or say where the table is: "
+        f"ingest.table = {height:.4f},{a:.4f},{b:.4f}",
+        tuple(bad),
+    )

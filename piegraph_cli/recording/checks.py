@@ -79,10 +79,15 @@ class Finding:
         return self.checks[0].remedy
 
 
+def _place(check: Check) -> int:
+    """Checks of geometry in their order, then all others as they come."""
+    return NAMES.index(check.name) if check.name in NAMES else len(NAMES)
+
+
 def grouped(checks: Sequence[Check]) -> list[Finding]:
     """Checks that are not good, those with the same verdict and cause together, the worst first."""
     groups: dict[tuple[str, str, str], list[Check]] = {}
-    for check in sorted((c for c in checks if c.verdict != "good"), key=lambda c: (c.verdict, NAMES.index(c.name))):
+    for check in sorted((c for c in checks if c.verdict != "good"), key=lambda c: (c.verdict, _place(c))):
         groups.setdefault((check.name, check.verdict, check.cause), []).append(check)
     return [Finding(same) for same in groups.values()]
 
@@ -110,7 +115,7 @@ def check_images(camera: Camera, depth: Sequence[np.ndarray], color: Sequence[np
     verdict = judged(clipped, CLIPPED)
     remedy = "change exposure or light" if verdict != "good" else ""
     checks.append(Check("exposure", who, clipped, "1", CLIPPED, verdict, text, remedy=remedy))
-    sharpness = _sharpness(color[0])
+    sharpness = sharpness_of(color[0])
     if sharpness is not None:
         dull: Verdict = "doubtful" if sharpness < SHARP else "good"
         text = f"edges are {sharpness:.2f} times as strong as after a blur"
@@ -119,7 +124,7 @@ def check_images(camera: Camera, depth: Sequence[np.ndarray], color: Sequence[np
     return checks
 
 
-def _sharpness(color: np.ndarray) -> float | None:
+def sharpness_of(color: np.ndarray) -> float | None:
     """How much a blur of two pixels weakens the strongest edges; None in an image that has none."""
     import cv2
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -56,3 +56,13 @@ class ImageFiles:
     def mask(self, k: int) -> np.ndarray | None:
         """None."""
         return None
+
+
+class Scene(NamedTuple):
+    """What the cameras see at one time: the first arguments of `look`."""
+
+    color: list[np.ndarray]
+    """RGB uint8 [H, W, 3] of each camera."""
+    depth: list[np.ndarray]
+    """uint16 [H, W] of each camera, registered to colour, in units of its depth scale."""
+    cameras: list[Camera]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from piegraph_cli.errors import DataError
 
-STILL = re.compile(r"(?P<name>[^.].*?)[._-](?P<kind>color|colour|rgb|depth|pose)\.(png|jpg|jpeg|txt)")
+STILL = re.compile(r"(?P<name>[^.].*?)[._-](?P<kind>(color|colour|rgb|depth)(?=\.(png|jpg|jpeg))|pose(?=\.txt))\.\w+")
 """What images and poses in a folder of single frames are called."""
 BAGS = (".bag", ".db3", ".mcap")
 """Endings of ROS bags; a bag can be a sequence without a folder of its own."""
@@ -44,6 +44,14 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
         str(recording),
         "expected SEQUENCE/CAMERA/color/000000.jpg below it, or a layout of `piegraph list layouts`",
     )
+
+
+def sequences_in(folder: Path, layout: str = "auto") -> list[str]:
+    """The names of the sequences that a folder holds; none where it is itself a sequence, or something else."""
+    if any(_fits(name, folder) for name in _wanted(layout)):
+        return []
+    folders = sorted(path for path in entries_of(folder) if path.is_dir())
+    return [path.name for path in folders if any(_fits(name, path) for name in _wanted(layout))]
 
 
 def layout_of(sequence: Path, layout: str = "auto") -> str:
@@ -84,7 +92,8 @@ def calibration_sequences(sequences: list[Path]) -> set[str]:
     found = set()
     for path in (sequences[0].parent / "cameras.json", *(s / "cameras.json" for s in sequences)):
         try:
-            found.add(json.loads(path.read_text())["calibration_sequence"])
+            noted = json.loads(path.read_text())["calibration_sequence"]
+            found |= set(noted if isinstance(noted, list) else [noted])
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             continue  # reading the sequence says what is wrong
     return {path.name for path in sequences} & {name for name in found if isinstance(name, str)}

@@ -15,6 +15,7 @@ from piegraph_cli.recording.checks import Check, check_images, judged
 from piegraph_cli.recording.edges import match_outlines, standing
 from piegraph_cli.recording.pairs import check_pairs
 from piegraph_cli.recording.planes import Plane, Rays, find_planes
+from piegraph_cli.recording.texture import check_texture, picture_of
 
 OFFSET, TILT = (0.004, 0.007), (1.2, 2.2)
 """A table off by more (m, deg) is doubtful, bad. Good recordings end at 2.5 mm and 0.9 degrees."""
@@ -27,6 +28,10 @@ IN_VIEW = 0.05
 """Share of the image that should show the table, for one that is not found to be bad."""
 SHIFT, GAIN = (0.012, 0.018), (1.25, 1.5)
 """Shift of depth against colour as a share of the width, and how much better the edges must fit there."""
+REGISTER = (
+    "register depth to colour when recording (RealSense: align to color), or give depth_K and T_color_depth, "
+    "which ingest registers it by"
+)
 
 
 @dataclass(frozen=True)
@@ -90,9 +95,10 @@ def check_geometry(views: Sequence[View], workspace: np.ndarray, table: float = 
     checks += [*_check_tables(looks, edges, workspace, table), *edges.values()]
     wrong = {name for check in checks if check.verdict == "bad" for name in check.cameras}
     # where one camera is wrong in itself, the others cannot agree with it
-    return checks + check_pairs(
-        [look.sights() for look in looks if look.table and look.camera.name not in wrong], table
-    )
+    right = [look for look in looks if look.table and look.camera.name not in wrong]
+    pictures = [picture_of(look.camera, look.view.color[0], look.view.depth[0], workspace, table) for look in right]
+    textures = check_texture([look.camera for look in right], pictures, workspace)
+    return checks + check_pairs([look.sights() for look in right], table) + textures
 
 
 def _check_pose(camera: Camera) -> Check:
@@ -217,5 +223,5 @@ def _check_edges(look: _Look) -> Check | None:
     text = f"edges of depth lie {-shift.x}, {-shift.y} px (right, down) of those of colour"
     moving = f"moving depth by {shift.x}, {shift.y} px lays its edges on those of colour"
     cause = f"depth is not registered to colour: {moving}" if verdict != "good" else ""
-    remedy = "register depth to colour when recording (RealSense: align to color)" if verdict != "good" else ""
+    remedy = "" if verdict == "good" else REGISTER
     return Check("edges", (look.camera.name,), pixels, "px", allowed, verdict, text, cause, remedy)

@@ -41,6 +41,8 @@ class CameraEntry(BaseModel):
     depth_K: list[list[float]] | None = None
     depth_distortion: list[float] | None = None
     T_color_depth: list[list[float]] | None = None
+    serial: str | None = None
+    """Of the device, by which `record` knows it again."""
 
 
 class CamerasFile(BaseModel):
@@ -50,17 +52,17 @@ class CamerasFile(BaseModel):
 
     version: int = LAYOUT_VERSION
     cameras: dict[str, CameraEntry] = Field(min_length=1)
-    calibration_sequence: str | None = None
-    """The sequence that shows the board, left out of runs."""
+    calibration_sequence: str | list[str] | None = None
+    """The sequences that show the board, left out of runs."""
+    T_world_robot: list[list[float]] | None = None
 
 
 def cameras_file(sequence: Path) -> Path:
     """The cameras.json of a sequence: its own, or else its recording's. Raises `DataError` where there is neither."""
     path = next((p for p in (sequence / "cameras.json", sequence.parent / "cameras.json") if p.is_file()), None)
     if path is None:
-        raise DataError(
-            "cameras.json is missing", str(sequence.parent), "write it by hand or with `piegraph calibrate`"
-        )
+        hint = "write it by hand or with `piegraph calibrate`"
+        raise DataError("cameras.json is missing", str(sequence.parent), hint)
     return path
 
 
@@ -76,11 +78,10 @@ def read_cameras_file(path: Path) -> CamerasFile:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"cannot be read: {error}", str(path)) from None
     if entries.version != LAYOUT_VERSION:
-        raise DataError(
-            f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}",
-            str(path),
-            "update piegraph",
-        )
+        message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
+        raise DataError(message, str(path), "update piegraph")
+    if entries.T_world_robot is not None:
+        _transform(entries.T_world_robot, "T_world_robot", str(path), "remove it, and calibrate the robot again")
     return entries
 
 
@@ -297,7 +298,7 @@ def _check_image(image: np.ndarray | None, path: Path, camera: str) -> np.ndarra
 
 def cameras_text(cameras: list[Camera]) -> str:
     """The text of a cameras.json."""
-    entries = {c.name: CameraEntry.model_validate(_entry(c)) for c in cameras}
+    entries = {c.name: CameraEntry.model_validate(entry_of(c)) for c in cameras}
     return cameras_file_text(CamerasFile(cameras=entries))
 
 
@@ -306,7 +307,8 @@ def cameras_file_text(file: CamerasFile) -> str:
     return json.dumps(file.model_dump(exclude_none=True), indent=1) + "\n"
 
 
-def _entry(camera: Camera) -> dict[str, Any]:
+def entry_of(camera: Camera) -> dict[str, Any]:
+    """The fields of a camera in cameras.json."""
     entry = {name: getattr(camera, name) for name in ("width", "height", "depth_scale")}
     entry |= {name: getattr(camera, name).tolist() for name in ("K", "distortion", "T_world_camera")}
     if camera.depth_view:

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_serializer
 
-from piegraph_cli.params import Box, Mode, Params, split_commas, split_pairs
+from piegraph_cli.params import Box, Mode, Params, Table, split_commas, split_pairs
 
 CheckName = Literal[
-    "pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines", "clocks"
+    "pose", "readings", "exposure", "sharpness", "table", "view", "edges", "clouds", "outlines", "texture", "clocks"
 ]
 """Checks of a recording's geometry (docs/checks.md), in the order in which they are made."""
 
@@ -47,7 +47,11 @@ class ReadParams(Params):
     )
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35),
-        description="box of interest in the world: xmin,xmax,ymin,ymax,zmin,zmax [m]",
+        description="box of interest in the world, heights from the table: xmin,xmax,ymin,ymax,zmin,zmax [m]",
+    )
+    table: Table = Field(
+        (0.0, 0.0, 0.0),
+        description="plane of the table in the cameras' world: HEIGHT [m], or HEIGHT,SLOPE_X,SLOPE_Y; it becomes z = 0",
     )
     tool_point: Annotated[tuple[float, float, float], BeforeValidator(split_commas)] = Field(
         (0.0, 0.0, 0.0), description="the tip in the frame of an end-effector that was recorded: x,y,z [m]"
@@ -58,10 +62,13 @@ class ReadParams(Params):
     tf_end_effector: str | None = Field(
         None, description="frame of a bag's tf that is the end-effector (default: none)"
     )
-    table: float = Field(0.0, description="height of the table in the world, for the checks of geometry [m]")
     accept: Annotated[tuple[CheckName, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of geometry that may be bad: NAME,... (docs/checks.md)"
     )
+
+    def content(self) -> dict[str, Any]:
+        """As for all settings; a table at z = 0 is written in one number."""
+        return super().content() | ({} if any(self.table) else {"table": 0.0})
 
 
 class SequenceParams(ReadParams):

@@ -11,6 +11,8 @@ from piegraph_cli.errors import DataError
 
 LARGEST = 1 << 16
 """Bytes of a file of intrinsics or poses."""
+LARGEST_PICKLE = 1 << 20
+"""Bytes of a pickle."""
 LARGEST_IMAGE = 1 << 26
 """Bytes of an image."""
 
@@ -56,8 +58,8 @@ def load_pickle(path: Path) -> Any:
     Raises `DataError` naming what else it wants to make; nothing of that is looked up, imported or called.
     """
     try:
-        if path.stat().st_size > LARGEST:
-            raise ValueError(f"too large, more than {LARGEST} bytes")
+        if path.stat().st_size > LARGEST_PICKLE:
+            raise ValueError(f"too large, more than {LARGEST_PICKLE} bytes")
         with path.open("rb") as file:
             return _plain(_Unpickler(file).load())
     except DataError as error:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.files import atomic_file
 from piegraph_cli.recording.ply import AGAIN, HEADER_BYTES, read_ply
 
 log = logging.getLogger("piegraph")
@@ -197,3 +198,27 @@ def read_arrays(path: Path, wanted: Collection[str]) -> dict[str, np.ndarray]:
         raise
     except Exception as error:  # whatever zip, deflate and .npy readers raise for broken files
         raise DataError(f"not a readable .npz file: {error}", str(path), AGAIN) from None
+
+
+def check_points_file(path: Path) -> None:
+    """Raise `UsageError` for a file that `write_points` has no format for."""
+    if path.suffix not in (".ply", ".npz"):
+        raise UsageError(
+            f"cannot write clouds as {path.suffix or 'a file without suffix'}", str(path), "use .ply or .npz"
+        )
+
+
+def write_points(path: Path, points: np.ndarray, **more: np.ndarray) -> None:
+    """Write points [P, 3] (m) as .ply (binary, float), or as .npz under `points`, with further arrays behind them.
+
+    `read_points` reads the file back. Raises `DataError` where it cannot be written.
+    """
+    check_points_file(path)
+    points = np.ascontiguousarray(points, "<f4")
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
+        if path.suffix == ".npz":
+            np.savez(file, points=points, **more)  # type: ignore[arg-type]
+        else:
+            head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+            lines = [*head, *(f"property float {axis}" for axis in "xyz"), "end_header", ""]
+            file.write("\n".join(lines).encode() + points.tobytes())

@@ -29,7 +29,7 @@ STAGE = Stage(
     ("tracks",),
     "dataset",
     DatasetParams,
-    version=2,
+    version=3,
     run="piegraph_cli.stages.dataset:run",
     unit="run",
     units=_units,
@@ -68,6 +68,8 @@ def _read_split(path: "Path") -> dict[str, list[str]]:
 
 def _left_out(found: "Mapping[str, Found]") -> tuple[list[str], list[str]]:
     """What is not in the dataset, or was cut: for the quality line, and as warnings that name the sequences."""
+    import numpy as np
+
     quality, warnings = [], []
     unseen = {name: of for name, of in found.items() if of.unseen}
     if unseen:
@@ -77,9 +79,12 @@ def _left_out(found: "Mapping[str, Found]") -> tuple[list[str], list[str]]:
         quality.append(f"left out, object not seen: {strokes} strokes, {pairs} pairs")
         where = ", ".join(f"{name} ({of.unseen} frames)" for name, of in unseen.items())
         warnings.append(
-            f"{frames} frames see too little of the object, so {strokes} strokes and {pairs} pairs are left out: {where}; "
+            f"{frames} frames see too little of the object or are not trusted, so {strokes} strokes and {pairs} pairs are left out: {where}; "
             "look at the clouds with `piegraph report`, or lower min_seen"
         )
+    hidden = float(np.mean([of.particles_unseen for of in found.values()]))
+    if hidden > 0:
+        quality.append(f"{hidden:.0%} of the particles not seen, which teach nothing")
     bent = {name: of.cut for name, of in found.items() if of.cut.bent}
     if bent:
         pushes, pieces, short = (

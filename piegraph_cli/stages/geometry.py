@@ -1,6 +1,7 @@
 """The checks of geometry in `ingest`: which frames they look at, what is refused, and how they are kept and told."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.recording.checks import Check, Finding, grouped
 from piegraph_cli.recording.clocks import changes, check_clocks
 from piegraph_cli.recording.geometry import View, check_geometry
+from piegraph_cli.recording.ground import upright
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
@@ -25,15 +27,10 @@ def check_frames(
 
     Raises `DataError` with the cameras, figures and causes where one is bad and not among those to accept.
     """
-    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
-    color, depth = color_of(frames), depth_of(frames)
-    chosen = _chosen(depth)
-    views = [
-        View(camera, [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
-        for c, camera in enumerate(cameras_of(frames))
-    ]
-    checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table)
-    checks += _check_clocks(arrays, color)
+    seen = views_of(arrays, folder)
+    views = [replace(view, camera=upright(view.camera, params.table)) for view in seen]
+    checks = check_geometry(views, np.array(params.workspace).reshape(3, 2), params.table[0])
+    checks += _check_clocks(arrays)
     bad = [f for f in grouped([c for c in checks if c.verdict == "bad"]) if f.name not in params.accept]
     if bad:
         raise _refused(bad, folder)
@@ -43,8 +40,21 @@ def check_frames(
     return _datasets(checks), word, warnings
 
 
-def _check_clocks(arrays: dict[str, np.ndarray], color: ImageStack) -> list[Check]:
-    names, frames = [str(name) for name in arrays["camera_name"]], range(len(color))
+def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
+    """What the checks look at: a few frames of each camera."""
+    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+    color, depth = color_of(frames), depth_of(frames)
+    chosen = _chosen(depth)
+    return [
+        View(camera, [depth.depth(f, c) for f in chosen], [color.color(f, c) for f in chosen])
+        for c, camera in enumerate(cameras_of(frames))
+    ]
+
+
+def _check_clocks(arrays: dict[str, np.ndarray]) -> list[Check]:
+    names = [str(name) for name in arrays["camera_name"]]
+    color = ImageStack(arrays["color"], arrays["color_offsets"], len(names), "colour")
+    frames = range(len(color))
     seen = [changes(color.grey(frame, c) for frame in frames) for c in range(len(names))]
     return check_clocks(names, seen, list(arrays["stamp"].T))
 

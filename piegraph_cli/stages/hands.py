@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import DataError
 from piegraph_cli.perception.params import HandsParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -34,13 +33,15 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
 
     from piegraph_cli.perception.hands import detect_hands, end_effector, lift_hands
     from piegraph_cli.perception.two_hands import separate_hands, travel
-    from piegraph_cli.stages.end_effectors import from_file
+    from piegraph_cli.stages.end_effectors import completed, from_depth, from_file, no_hand
     from piegraph_cli.stages.images import cameras_of, color_of, depth_of
     from piegraph_cli.weights import cached_weights
 
     frames: Any = inputs["frames"]
     if params.source == "file" or (params.source == "auto" and "end_effector" in frames.arrays):
         return from_file(frames)
+    if params.source in ("stick", "glove"):
+        return from_depth(frames, params)
     cameras, color, depth, time = cameras_of(frames), color_of(frames), depth_of(frames), frames["time"]
     model = params.hand_model or cached_weights("hand-landmarker")
     images = [color.of_camera(c) for c in range(len(cameras))]
@@ -48,11 +49,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     bars = [context.progress(images[c], f"hands {camera.name}", len(time)) for c, camera in enumerate(cameras)]
     landmarks = np.stack([detect_hands(bar, time, model, hands)[0] for bar in bars], axis=1)
     if not np.isfinite(landmarks).any():
-        raise DataError(
-            f"no camera sees a hand in frames 0 to {len(time) - 1}",
-            f"{frames.path}, cameras {', '.join(c.name for c in cameras)}",
-            "check that the hand is in view and lit, or remove this sequence",
-        )
+        raise no_hand(frames, params)
     each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
     tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
     ways = [travel(end_effector(track.keypoints)) for track in tracks]
@@ -65,7 +62,10 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
         "observed": hand.observed,
         "time": time,
     }
-    return Output(arrays, *_told([c.name for c in cameras], hand, ways))
+    quality, warnings = _told([c.name for c in cameras], hand, ways)
+    if params.source == "auto" and hand.observed.mean() < POOR:
+        warnings += completed(arrays, frames, params)
+    return Output(arrays, quality, warnings)
 
 
 def _told(names: list[str], hand: "HandTrack", ways: list[float]) -> tuple[str, list[str]]:

@@ -1,10 +1,16 @@
 """What stages read of a frames artifact: its cameras, images and workspace."""
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.workspace.artifact import Artifact
+
+if TYPE_CHECKING:
+    from piegraph_cli.physics.visibility import View
 
 
 def cameras_of(frames: Artifact) -> list[Camera]:
@@ -41,3 +47,21 @@ def workspace_of(frames: Artifact) -> np.ndarray:
 def source_frames(frames: Artifact) -> np.ndarray:
     """The recording's frame [F] that each frame of the artifact was taken from (that of the first camera)."""
     return frames["source_frame"][:, 0]
+
+
+class Views(Sequence):
+    """Per frame what each camera sees, decoded when it is asked for."""
+
+    def __init__(self, frames: Artifact, masks: Artifact):
+        self.cameras, self.depth = cameras_of(frames), depth_of(frames)
+        self.mask = ImageStack(masks["mask"], masks["mask_offsets"], len(self.cameras), "mask")
+        self.count = len(frames["time"])
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, frame) -> "list[View]":
+        from piegraph_cli.physics.visibility import View
+
+        every = enumerate(self.cameras)
+        return [View(camera, self.depth.depth(frame, c), self.mask.mask(frame, c)) for c, camera in every]

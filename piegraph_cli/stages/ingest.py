@@ -129,7 +129,8 @@ def sequence_folder(run: "Run", unit: str) -> Path:
 
 
 def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Output:
-    """Read one sequence."""
+    """Read one sequence, into a world whose table is z = 0."""
+    from piegraph_cli.recording.ground import level, moved
     from piegraph_cli.recording.sequence import read_sequence
     from piegraph_cli.stages.geometry import check_frames
 
@@ -137,7 +138,13 @@ def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Out
     arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
     checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]
-    quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s, geometry {geometry}"
+    quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s"
+    if any(params.table):
+        T_table_world = level(params.table)
+        arrays["T_world_camera"] = T_table_world @ arrays["T_world_camera"]
+        arrays |= {name: moved(arrays[name], T_table_world) for name in ("end_effector",) if name in arrays}
+        quality += f", z = 0 is the table at z = {params.table[0]:g} m of the recording"
+    quality += f", geometry {geometry}"
     first = next(unit for unit, (recording, _) in _places(context.run).items() if recording == params.recording)
     if context.unit == first:
         board = _sequences(params.recording, params.layout)[1]

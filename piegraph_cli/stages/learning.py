@@ -36,6 +36,7 @@ def read_sequences(data: Artifact, split: int, count: int | None = None, seed: i
         rest=data["positions"][data["sequence_start"][chosen]],
         pairs=data["pairs"][pairs],
         pair_stroke=np.searchsorted(strokes, data["pair_stroke"][pairs]),
+        seen=None if data["seen"].all() else data["seen"],
     )
 
 
@@ -58,7 +59,10 @@ def read_model(model: Artifact) -> Trained:
 
 
 def read_sequence(data: Artifact, index: int) -> dict[str, Any]:
-    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes`, `follows` [S], `frames` [S, 2]."""
+    """One sequence: `rest` [N, 3], and per stroke `before`, `after` [S, N, 3], `strokes`, `follows` [S], `frames` [S, 2].
+
+    `seen` [2, S, N]: the particles whose places are known before and after each stroke.
+    """
     chosen = data["stroke_sequence"] == index
     first, last = data["strokes"][chosen].T
     hand = data["end_effector"]
@@ -70,4 +74,5 @@ def read_sequence(data: Artifact, index: int) -> dict[str, Any]:
         "strokes": Strokes.of(hand[first], hand[last], data["stroke_mode"][chosen]),
         "follows": data["stroke_follows"][chosen],
         "frames": np.stack([first, last], 1) - start,
+        "seen": data["seen"][np.stack([first, last])],
     }

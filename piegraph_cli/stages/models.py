@@ -45,7 +45,8 @@ def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, se
         raise DataError(f"{label} is what {trained_label(label)} has learned", str(run), f"save {trained_label(label)}")
     if artifact is None:
         raise DataError(f"{label} is not trained: there is nothing to save", str(run), "another label")
-    settings = plan.model_dump(mode="json", exclude={*PlanParams.query, "model", "daxbench_python", "daxbench_repo"})
+    here = {"model", "daxbench_python", "daxbench_repo", "table", "frame", "cameras"}
+    settings = plan.model_dump(mode="json", exclude={*PlanParams.query, *here})
     write_artifact(
         Path(path),
         "model",
@@ -64,5 +65,7 @@ def _model_of_run(folder: Path, label: str, seed: int | None) -> tuple[Artifact 
     run = open_run(folder)
     seeds = run.params("train").seeds_of(label)
     own = train.trained_name(train.model_name(label, seeds[0] if seed is None else seed))
-    plan = run.params("plan").model_copy(update=dict.fromkeys(PlanParams.query))
+    given: PlanParams = run.params("plan")
+    table = given.table if given.table is not None else run.params("ingest").table
+    plan = given.model_copy(update=dict.fromkeys(PlanParams.query) | {"table": table if any(table) else None})
     return run.read("model", own) if own else None, plan

@@ -11,12 +11,18 @@ from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
 
     from piegraph_cli.planning.episode import Episode
+    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.planner import Goal
     from piegraph_cli.workspace.run import Run
+
+
+METRICS = {"distance": "particle distance", "emd": "earth mover's distance", "chamfer": "chamfer distance"}
+"""What distances to the goal are called."""
 
 
 def _units(run: "Run") -> Sequence[Unit]:
@@ -30,17 +36,31 @@ def _inputs(run: "Run", unit: Unit) -> Inputs:
     return {"model": model} if model else {}
 
 
+def _settings(run: "Run", unit: Unit) -> PlanParams:
+    """A robot's clouds lie in the world of the cameras: the table is where it is in the run's recording."""
+    params: PlanParams = run.params(STAGE.name)
+    if params.state is None or params.table is not None:
+        return params
+    return params.model_copy(update={"table": run.params("ingest").table})
+
+
+SAME = 1e-6
+"""Metres, and parts of a rotation, within which the robot stands where it stood in another recording."""
+HIGH = 0.05
+"""Metres above the table at which nothing lies on it."""
+
 STAGE = Stage(
     "plan",
     "plan strokes to a goal",
     ("model",),
     "plan",
     PlanParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.plan:run",
     unit="run",
     on_demand=True,
     units=_units,
+    settings=_settings,
     inputs=_inputs,
     call=Call(
         first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
@@ -53,22 +73,26 @@ STAGE = Stage(
 def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
     from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.planner import Goal, tool_warnings
+    from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
     from piegraph_cli.stages.steps import open_environment
 
-    _check_question(params)
+    _check_question(context.run, params)
     set_up_torch()
-    trained, warnings = read_model(inputs["model"]) if "model" in inputs else None, []
+    trained = read_model(inputs["model"]) if "model" in inputs else None
+    warnings: list[str] = []
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
-        episodes = [_plan_once(model, params)]
+        state, warnings = _state(params, context)
+        warnings += _above_table(state, params)
+        episodes = [_plan_once(model, params, state)]
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
-            return _given_goal(params, state) or Goal(sample(), True)
+            return _given_goal(params, state) or Goal.of_particles(sample())
 
         environment = open_environment(params, model)
         numbers = context.progress(range(params.episodes), "plan")
@@ -78,21 +102,40 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     return Output(arrays, _quality(arrays, params), warnings)
 
 
-def _check_question(params: PlanParams) -> None:
+def _check_question(run: "Run", params: PlanParams) -> None:
     if (params.env is None) == (params.state is None):
         raise UsageError("give either --env or --state", "piegraph plan", "as in piegraph plan --run RUN --env tblock")
     if params.state is not None and params.goal is None and params.goal_pose is None:
         raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
     if params.goal is not None and params.goal_pose is not None:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
+    if params.env is not None and (params.frame != "world" or params.table is not None):
+        raise UsageError("--frame and --table are for --state: --env has a world of its own", "piegraph plan")
+    told_in(run, params)
 
 
-def _plan_once(model: "Model", params: PlanParams) -> "Episode":
-    from piegraph_cli.stages.points import read_points
+def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str]]:
+    """The cloud [P, 3] (m) of the object now, and what is to be said of it: read, or seen in images."""
+    place, frame = params.state_place()
+    if not place.is_dir():
+        return _cloud(place, frame, params), []
+    from piegraph_cli.perception.look import look
+    from piegraph_cli.stages.look import look_settings, read_scene
 
-    assert params.state is not None
-    goal = read_points(*params.goal_file()) if params.goal is not None else None
-    state = read_points(params.state, None)
+    run = context.run.folder
+    of_run = run if (run / "recipe.toml").is_file() else None
+    settings = look_settings(of_run, ingest={"table": params.table or (0, 0, 0)})
+    seen = look(*read_scene(str(params.state)), settings)
+    try:
+        seen.require()
+    except DataError as error:
+        hint = f"piegraph look {params.state} --run {run} --picture now.png shows it; {error.hint}"
+        raise DataError(error.message, str(params.state), hint) from None
+    return seen.cloud, [f"{params.state}: {finding.text}" for finding in seen.findings]
+
+
+def _plan_once(model: "Model", params: PlanParams, state: "np.ndarray") -> "Episode":
+    goal = _cloud(*params.goal_file(), params) if params.goal is not None else None
     try:
         return model.plan(state, goal=goal, goal_pose=params.goal_pose)
     except DataError as error:
@@ -100,15 +143,42 @@ def _plan_once(model: "Model", params: PlanParams) -> "Episode":
         raise DataError(error.message, asked, error.hint) from None
 
 
+def _cloud(file: "Path", frame: int | None, params: PlanParams) -> "np.ndarray":
+    """Points [P, 3] (m) of a file in the cameras' world; those of artifacts, which have the table at z = 0, are moved there."""
+    import numpy as np
+
+    from piegraph_cli.recording.ground import level, moved
+    from piegraph_cli.stages.points import read_points
+
+    points = read_points(file, frame)
+    if file.suffix.lower() != ".h5":
+        return points
+    return moved(points, np.linalg.inv(level(params.table or (0, 0, 0))))
+
+
+def _above_table(state: "np.ndarray", params: PlanParams) -> list[str]:
+    """A word on an object that cannot lie on the table."""
+    from piegraph_cli.recording.ground import level, moved
+
+    heights = moved(state, level(params.table or (0, 0, 0)))[:, 2]
+    low, high = float(heights.min()), float(heights.max())
+    if high > 0 and low < HIGH:
+        return []
+    where = f"{1000 * low:.0f} mm above" if low >= HIGH else f"{-1000 * high:.0f} mm and more below"
+    return [
+        f"the object of {params.state} lies {where} the table\n  try: --table HEIGHT, where the table is not at z = 0"
+    ]
+
+
 def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
     """The goal that the settings name, for the object's particles now [N, 3] (m)."""
-    from piegraph_cli.planning.planner import Goal, move_in_plane
+    from piegraph_cli.planning.goals import Goal, move_in_plane
     from piegraph_cli.stages.points import read_points
 
     if params.goal is not None:
-        return Goal(read_points(*params.goal_file()), False)
+        return Goal.of_cloud(read_points(*params.goal_file()), state, state)
     if params.goal_pose is not None:
-        return Goal(move_in_plane(state, params.goal_pose), True)
+        return Goal.of_particles(move_in_plane(state, params.goal_pose))
     return None
 
 
@@ -120,6 +190,7 @@ def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndar
     particles = len(episodes[0].start)
     return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
         "goal": np.array([episode.goal for episode in episodes]),
+        "metric": np.array([episode.metric for episode in episodes]),
         "seed": np.full(len(episodes), params.seed),
         "start_distance": np.array([episode.start_distance for episode in episodes]),
         "end_distance": np.array([episode.end_distance for episode in episodes]),
@@ -130,35 +201,95 @@ def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndar
 def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
     import numpy as np
 
+    of = METRICS[str(arrays["metric"][0])]
     if params.state is not None and len(arrays["stroke"]) == 0:
         start = arrays["start_distance"][0] * 100
-        return f"no stroke: {start:.1f} cm from the goal already, success is {params.success * 100:g} cm"
+        return f"no stroke: {start:.1f} cm of {of} from the goal already, success is {params.success * 100:g} cm"
     if params.state is not None:
-        return f"{len(arrays['stroke'])} strokes, predicted distance {arrays['cost'][-1] * 100:.1f} cm"
+        return f"{len(arrays['stroke'])} strokes, predicted {of} {arrays['cost'][-1] * 100:.1f} cm"
     solved = arrays["end_distance"] < params.success
     counts = [int((arrays["episode"] == i).sum()) for i in np.flatnonzero(solved)]
     mean = f", {np.mean(counts):.1f} strokes each" if counts else ""
-    return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm{mean}"
+    return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm of {of}{mean}"
 
 
 def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
-    """A run's plan as one object and as lines for people; strokes are in the world frame, metres."""
+    """A run's plan as one object and as lines for people; strokes are in the frame that was asked for, metres."""
     import numpy as np
 
     plan = run.read(STAGE.writes)
+    params = _settings(run, None)
+    T = told_in(run, params)
     rows, lines = [], [plan.quality]
-    for k, (start, end) in enumerate(plan["stroke"].tolist()):
+    for k, ends in enumerate(plan["stroke"]):
         episode = int(plan["episode"][k])
-        row = {"episode": episode, "mode": mode_word(int(plan["mode"][k])), "start": start, "end": end}
+        row: dict[str, Any] = {"episode": episode, "mode": mode_word(int(plan["mode"][k]))}
+        row |= stroke_in(T, ends)
         row |= {"predicted_distance": float(plan["cost"][k])}
         if np.isfinite(plan["distance"][k]):
             row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}
         rows.append(row)
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
+        start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(
-            f"episode {episode}: {row['mode']} from ({start[0]:+.3f}, {start[1]:+.3f}) to ({end[0]:+.3f}, {end[1]:+.3f}) m, "
+            f"episode {episode}: {row['mode']} from ({start}) to ({end}) m, "
             f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{reached}"
         )
+    if params.frame == "robot":
+        lines.append(f"in the robot's frame, by T_world_robot of {_cameras_file(run, params)}")
     ends = plan["end_distance"].tolist()
-    value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": "world", "units": "m"}
+    value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": params.frame, "units": "m"}
+    value |= {"metric": plan.texts("metric")[0], "start_distance": plan["start_distance"].tolist()}
     return value if np.isnan(ends).all() else value | {"end_distance": ends}, lines
+
+
+def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
+    """`T_frame_table` [4, 4] of the frame that strokes are told in; None where that is the run's world.
+
+    Raises `UsageError` or `DataError` where the robot's is asked for and not known.
+    """
+    import numpy as np
+
+    from piegraph_cli.recording.ground import level
+    from piegraph_cli.recording.robot_files import read_robot
+
+    T = np.linalg.inv(level(params.table or (0, 0, 0)))
+    if params.frame == "robot":
+        return np.linalg.inv(read_robot(_cameras_file(run, params))) @ T
+    return T if any(params.table or ()) else None
+
+
+def _cameras_file(run: "Run", params: PlanParams) -> "Path":
+    """The cameras.json that says where the robot stands. Raises `UsageError` where there is none, or several disagree."""
+    from piegraph_cli.recording.robot_files import read_robot
+
+    files = [params.cameras] if params.cameras else [r / "cameras.json" for r in run.params("ingest").recording]
+    if not files:
+        message = "where the robot stands is not known: this run has no recording"
+        raise UsageError(message, str(run.folder), "give --cameras FILE")
+    odd = [file for file in files[1:] if abs(read_robot(file) - read_robot(files[0])).max() > SAME]
+    if odd:
+        raise UsageError(f"the robot stands elsewhere in {odd[0]}", str(files[0]), "give --cameras FILE")
+    return files[0]
+
+
+def stroke_in(T: "np.ndarray | None", ends: "np.ndarray") -> dict[str, Any]:
+    """A stroke's ends [2, 2] (m) as they are told: on the table (two numbers), or by T [4, 4] in another frame.
+
+    There they have three numbers each, and `quaternion_xyzw` turns that frame's axes to x along the stroke and z up from
+    the table; `yaw` (rad) is the stroke's heading about that frame's z.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    if T is None:
+        return {"start": ends[0].tolist(), "end": ends[1].tolist()}
+    start, end = (T[:3, :3] @ [*xy, 0] + T[:3, 3] for xy in ends.astype(float))
+    up, along = T[:3, 2], (end - start) / np.linalg.norm(end - start)
+    turn = Rotation.from_matrix(np.column_stack([along, np.cross(up, along), up]))
+    return {
+        "start": start.tolist(),
+        "end": end.tolist(),
+        "yaw": float(np.arctan2(along[1], along[0])),
+        "quaternion_xyzw": turn.as_quat(canonical=True).tolist(),
+    }

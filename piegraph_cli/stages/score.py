@@ -1,6 +1,7 @@
 """Stage `score`: a simulated recording's perception and tracking against its truth.h5, which nothing else reads."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +37,18 @@ def _truth_file(run: "Run", sequence: str) -> Path:
 
 
 def read_truth(run: "Run", sequence: str) -> "Artifact | None":
-    """The truth of a sequence, or None for a recording that has none."""
+    """The truth of a sequence in the run's world, whose table is z = 0, or None for a recording that has none."""
+    from piegraph_cli.recording.ground import level, moved
     from piegraph_cli.workspace.artifact import read_artifact
 
     path = _truth_file(run, sequence)
-    return read_artifact(path, "truth") if path.is_file() else None
+    if not path.is_file():
+        return None
+    truth, T = read_artifact(path, "truth"), level(run.params(ingest.STAGE.name).table)
+    points = {"particles", "vertices", "hand_keypoints", "end_effector"} & truth.arrays.keys()
+    placed = {name: moved(truth[name], T) for name in points}
+    placed |= {name: T @ values for name, values in truth.arrays.items() if name.startswith("pose/")}
+    return replace(truth, arrays=truth.arrays | placed)
 
 
 def run(inputs: dict[str, Any], params: ScoreParams, context: Context) -> Output:

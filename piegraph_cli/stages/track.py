@@ -12,13 +12,20 @@ if TYPE_CHECKING:
     import numpy as np
 
     from piegraph_cli.physics.tracking import TrackResult
+    from piegraph_cli.physics.visibility import View
 
 STAGE = Stage(
-    "track", "track particles", ("clouds",), "tracks", TrackParams, version=2, run="piegraph_cli.stages.track:run"
+    "track",
+    "track particles",
+    ("frames", "masks", "clouds"),
+    "tracks",
+    TrackParams,
+    version=3,
+    run="piegraph_cli.stages.track:run",
 )
 
-POOR = 0.008
-"""Metres of residual above which the user is warned."""
+DOUBTFUL = 0.015
+"""Metres of expected error above which the user is told where to look."""
 
 
 def track_clouds(
@@ -27,29 +34,36 @@ def track_clouds(
     *,
     hand: "np.ndarray | None" = None,
     grasp: "np.ndarray | None" = None,
+    views: "Sequence[Sequence[View]] | None" = None,
     progress: Callable[..., Iterable] = iter,
 ) -> "TrackResult":
     """Follow material points of an object through its clouds, [P, 3] metres each, z up, the table at z = 0.
 
-    `hand` [F, 3] (m) and `grasp` [F]: where the hand is, and whether it holds the object, for picks. Raises `DataError` for
+    `hand` [F, 3] (m) and `grasp` [F]: where the hand is, and whether it holds the object, for picks. `views`: per frame
+    what each camera sees; without them everything counts as seen. Raises `DataError` for
     points that are not finite, naming the frame, and for a first cloud with too few of them. Source: paper, III-D.
     """
     from piegraph_cli.physics.tracking import track
     from piegraph_cli.process import set_up_torch
 
     set_up_torch()
-    return track(clouds, params, hand, grasp, progress)
+    return track(clouds, params, hand, grasp, progress, views)
 
 
 def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output:
     """Track one sequence."""
     import numpy as np
 
+    from piegraph_cli.stages.images import Views
+
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])
     held = {"hand": source["end_effector"], "grasp": source["contact"]} if params.mode == "pick" else {}
+    views = Views(inputs["frames"], inputs["masks"])
     try:
-        tracked = track_clouds(clouds, params, progress=lambda c: context.progress(c, "track", len(clouds)), **held)
+        tracked = track_clouds(
+            clouds, params, views=views, progress=lambda c: context.progress(c, "track", len(clouds)), **held
+        )
     except DataError as error:
         raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None
     frames = len(clouds)
@@ -57,18 +71,32 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         "positions": tracked.positions,
         "residual": tracked.residual,
         "visibility": tracked.weight,
+        "trust/doubt": tracked.doubt,
+        "trust/misfit": tracked.misfit,
         "mode": np.full(frames, mode_number(params.mode)),
         "end_effector": source["end_effector"],
         "contact": source["contact"],
         "time": source["time"],
     }
-    residual = float(np.median(tracked.residual[~tracked.held])) if not tracked.held.all() else float("nan")
-    quality = f"{frames} frames, residual {residual * 1000:.1f} mm (no accuracy: see docs/method.md)"
+    quality = f"{frames} frames, expected error {tracked.doubt.mean() * 1000:.1f} mm"
+    return Output(arrays, quality, _warnings(tracked))
+
+
+def _warnings(tracked: "TrackResult") -> list[str]:
+    """What the user should know of a track: frames without a cloud, a lost object, and where to look."""
     warnings = []
     if tracked.held.any():
+        first = int(tracked.held.argmax())
+        warnings.append(f"{tracked.held.sum()} frames without a cloud, first {first}: particles held still")
+    if tracked.lost.any():
+        first = int(tracked.lost.argmax())
+        end = "; it is not found again, so the sequence ends there" if tracked.lost[first:].all() else ""
         warnings.append(
-            f"{tracked.held.sum()} frames without a cloud, first {int(tracked.held.argmax())}: particles held still"
+            f"{tracked.lost.sum()} frames in which the object is not where it can be, first {first}: no examples{end}"
         )
-    if residual > POOR:
-        warnings.append(f"residual {residual * 1000:.1f} mm: look at the clouds with `piegraph report`")
-    return Output(arrays, quality, warnings)
+    if tracked.doubt.mean() > DOUBTFUL:
+        worst = int(tracked.doubt.argmax())
+        warnings.append(
+            f"expected error {tracked.doubt.mean() * 1000:.1f} mm: look at frame {worst} with `piegraph report`"
+        )
+    return warnings

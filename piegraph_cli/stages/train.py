@@ -15,8 +15,13 @@ from piegraph_cli.workspace.call import Call, Given, Option, options_of
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
+    from piegraph_cli.dynamics.examples import Sequences
+    from piegraph_cli.dynamics.rigid_body import RigidBody
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.workspace.run import Run
+
+BENT = 0.005
+"""Metres from a rigid motion above which the user of `rigid` is warned."""
 
 RECORDS = 20
 """Losses are noted this many times in a training."""
@@ -156,32 +161,58 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     import numpy as np
 
     from piegraph_cli.dynamics.models import MODELS, make_network
+    from piegraph_cli.dynamics.params import LearningParams
+    from piegraph_cli.dynamics.rigid_body import RigidBody
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_sequences
 
     set_up_torch()
-    device = choose_device(context.device)
     name, _, count = split_label(params.label)
     learner = MODELS[name].learner
     assert learner is not None
-    data, settings = read_sequences(inputs["dataset"], TRAIN, count, params.seed), params.settings
+    data = read_sequences(inputs["dataset"], TRAIN, count, params.seed)
+    network = make_network(name, params.settings, data.picks, params.seed)
+    about = {
+        "particles": np.array(data.positions.shape[1]),
+        "modes": np.unique(data.mode),
+        "pace": np.array(data.pace),
+    }
+    if isinstance(network, RigidBody):
+        return _fit_body(network, data, about)
+    assert isinstance(params.settings, LearningParams)
+    assert learner.examples is not None
+    device, settings = choose_device(context.device), params.settings
     held_out = read_sequences(inputs["dataset"], VALIDATION)
     validation = learner.examples(held_out, settings, device) if len(held_out.strokes) else None
-    network = make_network(name, settings, data.picks, params.seed)
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     _fit(trainer, params, context)
     steps, train, validation_loss = np.array(trainer.history).T
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
     arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
-    arrays["particles"] = np.array(data.positions.shape[1])
-    arrays["modes"] = np.unique(data.mode)
-    arrays["pace"] = np.array(data.pace)
     quality = f"loss {train[-1]:.4f} after {settings.steps} steps on {len(trainer.examples)} examples"
     if not math.isnan(trainer.best_loss) and validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
-    return Output(arrays, quality)
+    return Output(arrays | about, quality)
+
+
+def _fit_body(body: "RigidBody", data: "Sequences", about: dict[str, Any]) -> Output:
+    """The numbers of a rigid body, fitted at once; a body that bends is told."""
+    import numpy as np
+
+    error, bent = body.fit(data)
+    friction, c, reach, *_ = body.numbers.tolist()
+    arrays = {f"weights/{name}": value.numpy() for name, value in body.state_dict().items()}
+    arrays |= {"step": np.array([1]), "train_loss": np.array([error]), "validation_loss": np.array([math.nan])}
+    quality = f"{error * 100:.2f} cm a stroke on {len(data.strokes)} strokes; friction {friction:.2f}, "
+    quality += f"turning length {c * 1000:.0f} mm, pusher {reach * 1000:.1f} mm from the outermost particles"
+    warnings = []
+    if bent > BENT:
+        warnings.append(
+            f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends, `rigid` is for what does not"
+        )
+    return Output(arrays | about, quality, warnings)
 
 
 def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:
@@ -189,7 +220,7 @@ def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:
     saved = context.checkpoint.load()
     if saved is not None:
         trainer.load(saved)
-    settings = params.settings
+    settings = trainer.params
     every = max(1, settings.steps // RECORDS)
     writer = _tensorboard(context) if params.tensorboard else None
     for step in context.progress(range(trainer.done + 1, settings.steps + 1), "train"):

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 
-_QUESTION = {"env", "state", "goal", "goal_pose", "model", "strokes", "success", "episodes", "seed"}
+_QUESTION = {
+    *("env", "state", "goal", "goal_pose", "table", "frame", "cameras"),
+    *("model", "strokes", "success", "episodes", "seed"),
+}
 """Settings of `plan` that the grid gives."""
 
 

@@ -162,7 +162,8 @@ class Run:
     def _settings_of(self, stage: Stage, unit: Unit) -> "_Settings":
         slot = (stage.name, unit if stage.settings else None)
         if slot not in self._settings:
-            params = stage.settings(self, unit) if stage.settings and unit else self.recipe.params(stage)
+            own = stage.settings if unit or stage.unit == "run" else None
+            params = own(self, unit) if own else self.recipe.params(stage)
             files = params.files()
             gone = not all(path.exists() for path in files.values())
             self._settings[slot] = _Settings(params, params.content(), files, gone)
@@ -293,6 +294,10 @@ def _place(artifact: str, unit: Unit) -> str:
     return f"{artifact}/{unit}.h5" if unit else f"{artifact}.h5"
 
 
+BESIDE = ("calibration_sequence", "T_world_robot")
+"""Fields of a cameras.json that say nothing of its cameras."""
+
+
 def content_hash(path: Path, setting: str) -> str:
     """sha256 of a file, or of a folder's file names and contents, together with a cameras.json beside it.
 
@@ -314,12 +319,25 @@ def content_hash(path: Path, setting: str) -> str:
 
 
 def _file_hash(path: Path) -> bytes:
-    """sha256 of a file, which may be larger than the memory."""
+    """sha256 of a file, which may be larger than the memory; of a cameras.json without `BESIDE`."""
     digest = hashlib.sha256()
     try:
+        if path.name == "cameras.json":
+            return hashlib.sha256(_of_cameras(path.read_bytes())).digest()
         with path.open("rb") as file:
             while part := file.read(BLOCK):
                 digest.update(part)
     except OSError as error:
         raise DataError(f"cannot be read: {error.strerror or error}", str(path), "give yourself the right") from None
     return digest.digest()
+
+
+def _of_cameras(data: bytes) -> bytes:
+    """A cameras.json as it would be written without `BESIDE`; as it is where it has nothing of these."""
+    if not any(f'"{name}"'.encode() in data for name in BESIDE):
+        return data
+    try:
+        kept = {name: value for name, value in json.loads(data).items() if name not in BESIDE}
+    except (ValueError, AttributeError, RecursionError):
+        return data  # reading it says what is wrong
+    return (json.dumps(kept, indent=1) + "\n").encode()

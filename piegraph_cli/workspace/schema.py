@@ -106,6 +106,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "positions": Field("frame,particle,xyz", "m", "float32"),
         "residual": Field("frame", "m", "float32", nan=True),
         "visibility": Field("frame,particle", "1", "float32"),
+        "trust/*": Field("frame", "m", "float32"),
         "mode": Field("frame", "0 push, 1 pick", "uint8"),
         **_HAND_PATH,
     },
@@ -116,6 +117,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     },
     "dataset": {
         "positions": Field("frame,particle,xyz", "m", "float32"),
+        "seen": Field("frame,particle", "1", "bool"),
         "end_effector": Field("frame,xy", "m", "float32"),
         "strokes": Field("stroke,first_last", "frame", "int64"),
         "stroke_sequence": Field("stroke", "sequence", "int64"),
@@ -148,6 +150,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     },
     "plan": {
         "goal": Field("episode,goal_point,xyz", "m", "float32"),
+        "metric": Field("episode", "text", TEXT),
         "episode": Field("step", "episode", "int64"),
         **_STEPS,
         "seed": Field("episode", "1", "int64"),

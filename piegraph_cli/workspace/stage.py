@@ -45,7 +45,7 @@ class Stage:
     """Whether a recipe has to name it."""
     units: Callable[["Run"], Sequence[Unit]] | None = None
     """The units of a run; by default those of the stage that writes what is read first."""
-    settings: Callable[["Run", str], Params] | None = None
+    settings: Callable[["Run", Any], Params] | None = None
     """The settings that one unit depends on; by default the stage's."""
     inputs: Callable[["Run", Unit], Inputs] | None = None
     """What one unit reads; by default what is read of the unit of the same name."""

@@ -9,7 +9,15 @@ from pydantic import ValidationError
 
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.models import MODELS, make_network
-from piegraph_cli.dynamics.params import LEARNED, EGNNParams, LearningParams, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import (
+    BY_GRADIENT,
+    LEARNED,
+    EGNNParams,
+    LearningParams,
+    TrainParams,
+    split_label,
+    trained_label,
+)
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import UsageError
 
@@ -50,7 +58,7 @@ OTHERS = {
 """Another value of each setting that is a number."""
 SYMMETRIC = ("egnn-g", "mirror")
 """Has no action head, so its network knows no left and right: mirrored pairs teach it the same."""
-CASES = [(name, field) for name, of in LEARNED.items() for field in of.model_fields if (name, field) != SYMMETRIC]
+CASES = [(name, field) for name, of in BY_GRADIENT.items() for field in of.model_fields if (name, field) != SYMMETRIC]
 
 
 def sequences() -> Sequences:
@@ -119,7 +127,7 @@ def test_a_network_without_handedness_learns_the_same_from_mirrored_pairs(as_the
         np.testing.assert_allclose(mirrored, plain, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", LEARNED)
+@pytest.mark.parametrize("name", BY_GRADIENT)
 def test_the_same_settings_learn_the_same(name, as_they_are):
     assert all(map(np.array_equal, learned(name), as_they_are(name)))
 

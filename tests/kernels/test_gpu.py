@@ -11,7 +11,7 @@ from piegraph_cli.bench.pipeline import carried_sequences
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict, recordable
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
-from piegraph_cli.dynamics.params import LEARNED, EGNNParams
+from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.params import PUSH
 from piegraph_cli.physics import simulation, spring_kernel
@@ -162,11 +162,11 @@ def test_what_is_recorded_is_what_runs_in_kernels():
     assert [name for name in MODELS if recordable(name)] == ["piegraph", "piegraph-ng"]
 
 
-@pytest.mark.parametrize("name", sorted(LEARNED))
+@pytest.mark.parametrize("name", sorted(BY_GRADIENT))
 def test_training_follows_the_curve_of_the_cpu(name):
     data, losses = carried_sequences(), {}
     steps = 200 if name == "piegraph" else 3
-    params = LEARNED[name](steps=200)
+    params = BY_GRADIENT[name](steps=200)
     learner = MODELS[name].learner
     for device in ("cpu", "cuda"):
         network = make_network(name, params, False, 0)

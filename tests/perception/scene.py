@@ -64,8 +64,12 @@ def render(
     height: float = 0.03,
     seed: int = 0,
     beside: Sequence[Box] = (),
+    stick: tuple[np.ndarray, np.ndarray, float] | None = None,
 ) -> View:
-    """One view of the T at `centre` [2] (m), turned by `yaw`, `height` (m) thick, with or without hand and boxes."""
+    """One view of the T at `centre` [2] (m), turned by `yaw`, `height` (m) thick, with or without hand, boxes and stick.
+
+    `stick` is a capsule: two ends and a radius (m), which counts as hand.
+    """
     rng = np.random.default_rng(seed)
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).reshape(-1, 2)
     rays = camera.rays(grid) @ camera.T_world_camera[:3, :3].T
@@ -80,6 +84,7 @@ def render(
         elbow = hand[0] + 2.5 * (hand[0] - hand[9])
         bones = [(hand[a], hand[b], 0.009) for a, b in BONES] + [(hand[0], elbow, 0.03), (hand[0], hand[9], 0.02)]
         parts += [_capsule(origin, rays, a, b, radius) for a, b, radius in bones]
+    parts += [_capsule(origin, rays, *stick)] if stick else []
     kinds = [1, 1] + [2] * (len(parts) - 2) + [3 + n for n in range(len(beside))]
     parts += [_box(origin, rays, b.centre, 0.0, (0, 0, *b.size[:2]), b.size[2]) for b in beside]
     for one, (reach, facing) in zip(kinds, parts, strict=True):

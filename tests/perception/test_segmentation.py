@@ -183,7 +183,7 @@ def test_one_frame_and_one_camera(block):
 def test_an_empty_table_is_an_error_that_names_the_cameras():
     view = render(CAMERAS[0], (5, 5), 0, None)
     hand_px = np.full((1, 1, 21, 2), np.nan)
-    with pytest.raises(DataError, match=r"(?s)c0.*no object found.*--workspace"):
+    with pytest.raises(DataError, match=r"(?s)c0.*no object found.*ingest.workspace"):
         find_object([[view.image]], [[view.depth]], CAMERAS[:1], hand_px, WORKSPACE, PARAMS)
 
 

@@ -7,7 +7,8 @@ import torch
 from piegraph_cli.physics import tracking
 from piegraph_cli.physics.association import thin
 from piegraph_cli.physics.params import TrackParams
-from piegraph_cli.physics.tracking import GRASP_RADIUS, choose_particles, spring_radius, track
+from piegraph_cli.physics.particles import choose_particles
+from piegraph_cli.physics.tracking import GRASP_RADIUS, spring_radius, track
 from tests.physics.objects import surface, turned
 from tests.stages.chain import make_tracks
 

@@ -7,7 +7,8 @@ from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.association import SoftAssignment, align, soft_means, thin
-from piegraph_cli.physics.tracking import TrackParams, choose_particles, track
+from piegraph_cli.physics.particles import choose_particles
+from piegraph_cli.physics.tracking import TrackParams, track
 from tests.physics.objects import block_recording, rope, surface, turned
 
 

@@ -10,6 +10,7 @@ import torch
 
 from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.planning import episode, planner
+from piegraph_cli.planning.goals import Goal
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import StrokeSpace
@@ -78,7 +79,8 @@ def planner_of(
     state: np.ndarray, goal: np.ndarray, corresponds: bool = True, known: Any = (PUSH, PICK), **settings: Any
 ):
     """The cost, and the function that plans, for an object at rest."""
-    wanted, tool = planner.Goal(goal, corresponds), planner.Tool(known)
+    wanted = Goal.of_particles(goal) if corresponds else Goal(goal)
+    tool = planner.Tool(known)
     return planner.make_planner(None, state, wanted, PlanParams(**settings), tool, [0])
 
 

@@ -53,6 +53,6 @@ def test_an_episode_does_not_depend_on_those_before_it():
 
 def test_another_goal_may_be_chosen():
     params = PlanParams(model="static", **SETTINGS)
-    found = play(Block(), None, params, lambda state, sample: Goal(state, True), start=0, goal=0)
+    found = play(Block(), None, params, lambda state, sample: Goal.of_particles(state), start=0, goal=0)
     assert (found.steps, found.start_distance, found.end_distance) == ([], 0.0, 0.0)
     assert len(found.states) == 1

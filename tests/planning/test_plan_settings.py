@@ -48,7 +48,7 @@ CHANGES = {
 }
 """Another value of each setting, and what it is the first to change of what `observed` lists in order."""
 OF_MODELS = dict.fromkeys(PredictionParams.model_fields, 0.5) | {"iterations": 3, "tension_only": True}
-OF_THE_STAGE = {"state", "goal", "goal_pose", "episodes"}
+OF_THE_STAGE = {"state", "goal", "goal_pose", "episodes", "table", "frame", "cameras"}
 BASES = {"temperature": MPPI, "noise": MPPI}
 
 
@@ -373,7 +373,7 @@ def test_modes_that_the_model_or_the_environment_lacks_are_refused():
     ("kind", "corresponds", "means"),
     [
         ("auto", True, "distance"),
-        ("auto", False, "chamfer"),
+        ("auto", False, "emd"),
         ("distance", False, "distance"),
         ("chamfer", True, "chamfer"),
         ("emd", True, "emd"),

@@ -97,7 +97,10 @@ def test_modes_that_none_knows_are_refused(asked, learned, known, message):
 
 def test_what_a_model_has_learned_counts_only_where_it_is_asked():
     state, _ = Block().reset(seed=0)
-    goal, pushes = Goal(state + np.array([0.05, 0, 0]), True), Trained(torch.nn.Identity(), None, 0.0, (PUSH,), 36)
+    goal, pushes = (
+        Goal.of_particles(state + np.array([0.05, 0, 0])),
+        Trained(torch.nn.Identity(), None, 0.0, (PUSH,), 36),
+    )
     picks = {"modes": ("pick",), "samples": 8, "cem_iterations": 1}
     _, make_plan = make_planner(pushes, state, goal, PlanParams(model="static", **picks), Tool(), [0])
     assert make_plan(torch.as_tensor(state)).strokes.mode.tolist() == [PICK]
@@ -108,7 +111,7 @@ def test_what_a_model_has_learned_counts_only_where_it_is_asked():
 def test_the_greedy_planner_needs_picks_and_places():
     state, _ = Block().reset(seed=0)
     params = PlanParams(model="static", planner="greedy")
-    for goal, tool in ((Goal(state, True), WIDE), (Goal(state, False), Tool())):
+    for goal, tool in ((Goal.of_particles(state), WIDE), (Goal(state), Tool())):
         with pytest.raises(UsageError, match="the greedy planner picks"):
             make_planner(None, state, goal, params, tool, [0])
 
@@ -116,4 +119,6 @@ def test_the_greedy_planner_needs_picks_and_places():
 def test_a_goal_outside_the_workspace_is_refused():
     state, _ = Block().reset(seed=0)
     with pytest.raises(DataError, match="the goal lies around"):
-        make_planner(None, state, Goal(state + np.array([1.0, 0, 0]), True), PlanParams(model="static"), Tool(), [0])
+        make_planner(
+            None, state, Goal.of_particles(state + np.array([1.0, 0, 0])), PlanParams(model="static"), Tool(), [0]
+        )

@@ -64,6 +64,7 @@ class Types:
 
 def write_bag(path: Path, messages: Sequence[Message], compress: bool = False) -> Path:
     """Write messages in the format that the path's suffix says; .db3 and .mcap are a folder with that file in it."""
+    path.parent.mkdir(exist_ok=True)
     if path.suffix == ".bag":
         _write1(path, messages, compress)
         return path

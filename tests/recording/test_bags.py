@@ -12,13 +12,13 @@ from piegraph_cli.errors import DataError, MissingError
 from piegraph_cli.recording.camera import DepthView, straight_rays
 from piegraph_cli.recording.folders import layout_of, list_sequences
 from piegraph_cli.recording.images import ImageStack
-from piegraph_cli.recording.layout import write_cameras
+from piegraph_cli.recording.layout import read_cameras, write_cameras
 from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.recording.readers import ros
 from piegraph_cli.recording.readers.ros.cameras import _inverted
 from piegraph_cli.recording.readers.ros.topics import camera_name, info_topic
 from piegraph_cli.recording.sequence import read_sequence
-from tests.cli import piegraph
+from tests.cli import piegraph, piegraph_json
 from tests.perception.scene import ring_camera
 from tests.recording.make_bag import ROS1, ROS2, START, Types, camera_messages, write_bag
 
@@ -478,3 +478,27 @@ def test_without_the_package_it_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(MissingError, match="needs the package rosbags"):
         ros.read(bag, PARAMS)
+
+
+def test_a_bag_is_unpacked_into_our_layout(tmp_path):
+    write_bag(tmp_path / "rec" / "take.bag", sdk_messages())
+    told = piegraph_json("unpack", tmp_path / "rec", "--out", tmp_path / "out")
+    assert told["sequences"] == [{"sequence": "take", "images": FRAMES, "warnings": []}]
+    (camera,) = read_cameras(tmp_path / "out" / "take", posed=False)
+    np.testing.assert_allclose(camera.depth_view.T_color_depth, BESIDE, atol=1e-7)
+    with pytest.raises(DataError, match="T_world_camera is missing"):
+        read_cameras(tmp_path / "out" / "take")
+    write_cameras(tmp_path / "out", [replace(camera, T_world_camera=LEFT.T_world_camera)])
+    write_cameras(tmp_path / "rec", [replace(camera, T_world_camera=LEFT.T_world_camera)])
+    ours, theirs = (read_sequence(p, PARAMS)[0] for p in (tmp_path / "out" / "take", tmp_path / "rec" / "take.bag"))
+    for name in ("color", "depth", "K", "T_world_camera", "depth_scale"):
+        np.testing.assert_array_equal(ours[name], theirs[name])
+    np.testing.assert_allclose(ours["time"], theirs["time"], atol=2e-6)
+    again = piegraph("unpack", tmp_path / "rec", "--out", tmp_path / "out", check=3)
+    assert "out/take: is there already" in again.stderr
+    write_bag(tmp_path / "more" / "other.bag", left())
+    assert "which has left" in piegraph("unpack", tmp_path / "more", "--out", tmp_path / "out", check=3).stderr
+    broken = swapped(left(), DEPTH, lambda m: replace(m, encoding="64FC1") if time_of(m) > 1 else m)
+    write_bag(tmp_path / "bad" / "bad.bag", broken)
+    piegraph("unpack", tmp_path / "bad", "--out", tmp_path / "new", check=3)
+    assert not list((tmp_path / "new").iterdir())

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.recording.folders import SIGNS, layout_of, list_sequences
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.recording.layout import write_cameras
@@ -18,6 +19,8 @@ from piegraph_cli.recording.params import LAYOUT_HELP, ReadParams
 from piegraph_cli.recording.plain import load_pickle
 from piegraph_cli.recording.readers import read_films
 from piegraph_cli.recording.sequence import read_sequence
+from piegraph_cli.stages import segment
+from piegraph_cli.workspace.artifact import Artifact
 from tests.cli import piegraph, piegraph_json
 from tests.perception.scene import ring_camera
 from tests.stages.make_recording import make_recording
@@ -133,7 +136,8 @@ def test_a_recording_of_others_is_told_by_its_folders(tmp_path, write):
     with pytest.raises(DataError, match="one sequence, not a recording") as refused:
         list_sequences(sequence)
     assert str(tmp_path) in refused.value.hint
-    told = piegraph_json("ingest", "--run", tmp_path / "run", "--recording", tmp_path)
+    noise = ("--accept", "table,clouds,edges,outlines")  # in depth too: there is no table
+    told = piegraph_json("ingest", "--run", tmp_path / "run", "--recording", tmp_path, *noise)
     assert [(o["unit"], o["state"]) for o in told["outcomes"]] == [(sequence.name, "done")]
 
 
@@ -192,8 +196,8 @@ def test_phystwin(tmp_path):
     assert any("turned about x" in text for text in warnings)
 
 
-def test_phystwin_processed_with_masks(tmp_path):
-    place = write_phystwin(tmp_path, raw=False)
+def with_masks(place):
+    """Masks of a toy and of a hand, in another order for each camera; none for the last frame."""
     for c, names in enumerate(({"0": "Hand", "1": "sloth"}, {"0": "sloth", "1": "hand"})):
         (place / "mask").mkdir(exist_ok=True)
         (place / "mask" / f"mask_info_{c}.json").write_text(json.dumps(names))
@@ -203,6 +207,11 @@ def test_phystwin_processed_with_masks(tmp_path):
                 mask = np.zeros((48, 64), np.uint8)
                 mask[f : f + 3, 10 if names[key] == "sloth" else 40] = 255
                 cv2.imwrite(str(place / "mask" / str(c) / key / f"{f}.png"), mask)
+    return place
+
+
+def test_phystwin_processed_with_masks(tmp_path):
+    place = with_masks(write_phystwin(tmp_path, raw=False))
     arrays, _ = read_sequence(place, ReadParams(fps=30))
     np.testing.assert_allclose(arrays["time"], np.arange(FRAMES) / 30)
     stack = ImageStack(arrays["mask"], arrays["mask_offsets"], 2, "mask")
@@ -210,6 +219,18 @@ def test_phystwin_processed_with_masks(tmp_path):
     for c in range(2):
         rows, columns = np.nonzero(stack.mask(4, c))
         assert (rows.tolist(), columns.tolist()) == ([4, 5, 6], [10, 10, 10])
+
+
+def test_masks_of_a_recording_are_taken_as_they_are(tmp_path):
+    arrays, _ = read_sequence(with_masks(write_phystwin(tmp_path, raw=False)), ReadParams(fps=30))
+    frames = Artifact(tmp_path, "frames", "", {}, {}, "", arrays)
+    found = segment.run({"frames": frames, "hands": None}, SegmentParams(), None)
+    masks = ImageStack(found.arrays["mask"], found.arrays["mask_offsets"], 2, "mask")
+    given = ImageStack(arrays["mask"], arrays["mask_offsets"], 2, "mask")
+    for c in range(2):
+        np.testing.assert_array_equal(masks.mask(4, c), given.mask(4, c))
+    assert found.arrays["area"].tolist() == [[3, 3]] * (FRAMES - 1) + [[0, 0]]
+    assert found.warnings == ["1 of 12 frames have no mask in the recording"]
 
 
 def test_phystwin_colour_as_a_video(tmp_path):

@@ -132,9 +132,9 @@ def test_metrics_and_plans_are_described(runs, run):
 @pytest.mark.parametrize(
     ("ends", "success", "quality"),
     [
-        ((0.01, 0.03, 0.02), 0.02, "1 of 3 goals below 2 cm, 2.0 strokes each"),
-        ((0.01, 0.03, 0.02), 0.025, "2 of 3 goals below 2.5 cm, 1.5 strokes each"),
-        ((0.01, 0.03, 0.02), 0.001, "0 of 3 goals below 0.1 cm"),
+        ((0.01, 0.03, 0.02), 0.02, "1 of 3 goals below 2 cm of particle distance, 2.0 strokes each"),
+        ((0.01, 0.03, 0.02), 0.025, "2 of 3 goals below 2.5 cm of particle distance, 1.5 strokes each"),
+        ((0.01, 0.03, 0.02), 0.001, "0 of 3 goals below 0.1 cm of particle distance"),
     ],
 )
 def test_a_plans_quality_counts_goals_and_strokes(ends, success, quality):
@@ -154,14 +154,14 @@ def test_a_plan_from_a_state_tells_where_it_would_end(run, tmp_path):
 
     posed = asked(goal_pose=(0.1, 0, 0))
     assert posed.arrays["stroke"].shape == (2, 2, 2)
-    assert posed.quality == f"2 strokes, predicted distance {posed.arrays['cost'][-1] * 100:.1f} cm"
+    assert posed.quality == f"2 strokes, predicted particle distance {posed.arrays['cost'][-1] * 100:.1f} cm"
     np.testing.assert_allclose(posed.arrays["goal"][0].mean(0), now.mean(0) + np.array([0.1, 0, 0]), atol=1e-6)
     assert np.isnan(posed.arrays["end_distance"]).all()
     assert (posed.warnings, float(posed.arrays["start_distance"][0])) == ([], pytest.approx(0.1, rel=1e-4))
     clouds = [asked(goal=f"{tmp_path}/goal.npz{frame}") for frame in ("", ":1", ":0")]
     np.testing.assert_array_equal(clouds[0].arrays["goal"], clouds[1].arrays["goal"])
     np.testing.assert_allclose(clouds[0].arrays["goal"][0], now + np.float32([0.1, 0, 0]))
-    assert clouds[2].quality == "no stroke: 0.0 cm from the goal already, success is 2 cm"
+    assert clouds[2].quality == "no stroke: 0.0 cm of particle distance from the goal already, success is 2 cm"
     assert float(clouds[1].arrays["start_distance"][0]) != pytest.approx(0.1, rel=1e-2), "a cloud does not correspond"
     with pytest.raises(DataError) as caught:
         asked(goal_pose=(5, 0, 0))

@@ -7,10 +7,12 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.perception.clouds import while_closed
 from piegraph_cli.perception.params import FuseParams, HandsParams
 from piegraph_cli.recording.images import encode_masks, join_images
-from piegraph_cli.stages import fuse, hands
-from piegraph_cli.workspace.artifact import check_arrays, write_artifact
+from piegraph_cli.stages import end_effectors, fuse, hands
+from piegraph_cli.workspace.artifact import check_arrays, read_artifact, write_artifact
+from tests.cli import piegraph_json
 from tests.perception.scene import WORKSPACE, ring_camera
 from tests.stages.chain import artifact, context
+from tests.stages.make_recording import make_recording
 
 FRAMES = 12
 
@@ -65,6 +67,34 @@ def test_a_gripper_holds_from_its_first_touch_to_its_last_of_each_time_it_is_clo
     assert np.flatnonzero(while_closed(touching, again)).tolist() == [1, 2, 6, 7, 8, 9]
 
 
+def test_a_stick_is_found_where_the_setting_says_so_and_named_where_no_hand_is(monkeypatch):
+    given = frames(path(), camera_name=np.array([b"cam"]))
+    del given.arrays["end_effector"]
+    seen = np.arange(FRAMES) > 2
+    monkeypatch.setattr(end_effectors, "tips_by_depth", lambda *_: (np.where(seen[:, None], path(), np.nan), seen))
+    out = hands.run({"frames": given}, HandsParams(source="stick"), context())
+    assert (out.arrays["source"] == 2).all()
+    assert out.arrays["observed"].tolist() == seen.tolist()
+    assert out.quality == "tip of a stick in 75% of 12 frames, by depth alone"
+    error = end_effectors.no_hand(given, HandsParams())
+    assert "in 75% of the frames: take it with --source glove" in error.hint
+    arrays = {"end_effector": np.where(np.arange(FRAMES)[:, None] < 6, path(y=0.01), np.nan)}
+    told = end_effectors.completed(arrays, given, HandsParams())
+    assert told == [
+        "in 6 frames without a hand what comes in by depth is taken for it, which is 10 mm from the hand where both are known"
+    ]
+    np.testing.assert_array_equal(arrays["end_effector"][:, 1], [0.01] * 6 + [0.0] * 6)
+    assert arrays["source"].tolist() == [0] * 6 + [2] * 6
+    far = np.where(np.arange(FRAMES)[:, None] < 6, path(y=0.1), np.nan)
+    assert not end_effectors.completed({"end_effector": far}, given, HandsParams())
+    monkeypatch.setattr(
+        end_effectors, "tips_by_depth", lambda *_: (np.full((FRAMES, 3), np.nan), np.zeros(FRAMES, bool))
+    )
+    assert "check that the hand is in view" in end_effectors.no_hand(given, HandsParams()).hint
+    with pytest.raises(DataError, match="nothing comes in from above in frames 0 to 11"):
+        hands.run({"frames": given}, HandsParams(source="glove"), context())
+
+
 def test_fuse_takes_contact_from_the_opening():
     camera = ring_camera(0.4)
     mask = np.zeros((camera.height, camera.width), bool)
@@ -101,3 +131,14 @@ def test_optional_datasets_may_be_absent_but_not_wrong():
         check_arrays("h.h5", "hands", arrays | {"opening": np.zeros(3)})
     with pytest.raises(DataError, match="end_effector is missing"):
         check_arrays("h.h5", "hands", {k: v for k, v in arrays.items() if k != "end_effector"})
+
+
+def test_a_recorded_path_goes_with_the_table_to_z_0(tmp_path):
+    recording = make_recording(tmp_path / "rec", sequences=1)
+    lines = "".join(f"{k / 10},0.1,{k / 100},0.15\n" for k in range(-1, 9))
+    (recording / "seq 0" / "end_effector.csv").write_text("time,x,y,z\n" + lines)
+    given = ("ingest", "--run", tmp_path / "run", "--recording", recording, "--accept", "table,view,edges,readings")
+    for table, height in (("0", 0.15), ("0.1", 0.05)):
+        piegraph_json(*given, "--table", table)
+        tips = read_artifact(tmp_path / "run" / "frames" / "seq 0.h5", "frames")["end_effector"]
+        np.testing.assert_allclose(tips[:, 2], height)

@@ -398,6 +398,7 @@ def test_hands_seen_nowhere_are_an_error_and_seldom_a_warning(run, scene, monkey
     few = seeing(0, 1)
     assert few.quality == "hand in 29% of 7 frames (east 29%, north 14%)"
     assert few.warnings == ["hand found in 29% of the frames only: see `piegraph report`"]
+    assert "source" not in few.arrays, "no frame is without the hand: by depth alone it would be 6 cm off"
     assert seeing(0, 1, 2, 3, 4).warnings == []
     with pytest.raises(DataError, match="no camera sees a hand in frames 0 to 6") as caught:
         seeing()

@@ -300,3 +300,22 @@ def test_several_processes_write_at_the_same_time(tmp_path):
     assert len(contents) >= 20
     assert all(found == content_hash(Path(place), "file") for place, (_, found) in contents.items())
     assert [path.name for path in folder.iterdir()] == [known.NAME]
+
+
+def test_a_robot_that_is_found_and_sequences_left_out_change_nothing(tmp_path):
+    sequence = tmp_path / "rec" / "take"
+    sequence.mkdir(parents=True)
+    file = sequence.parent / "cameras.json"
+    written = []
+    for beside in (
+        {},
+        {"calibration_sequence": "board"},
+        {"calibration_sequence": ["a", "b"], "T_world_robot": [[1.0]]},
+    ):
+        file.write_text(json.dumps({"version": 1, "cameras": {"a": 0.1}} | beside, indent=1) + "\n")
+        written.append(content_hash(sequence, "recording"))
+    assert len(set(written)) == 1
+    for text in ('{"version": 1, "cameras": {"a": 0.2}, "T_world_robot": 1}', '["T_world_robot"]', '{"T_world_robot"'):
+        file.write_text(text)
+        written.append(content_hash(sequence, "recording"))
+    assert len(set(written)) == 4

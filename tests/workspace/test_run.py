@@ -183,7 +183,7 @@ def test_a_recording_that_was_moved_away_leaves_its_artifacts_usable(tmp_path):
     assert sequences(moved) == ["seq 0", "seq 1"]
     assert [moved.state(STAGES["ingest"], s) for s in sequences(moved)] == ["fresh", "fresh"]
     other = Run(run.folder, Recipe(STAGES, {"ingest": {"recording": str(tmp_path / "none")}}))
-    with pytest.raises(DataError, match="no such file or folder"):
+    with pytest.raises(DataError, match="none: no such recording folder"):
         other.key(STAGES["ingest"], "seq 0")
 
 

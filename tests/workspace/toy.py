@@ -28,6 +28,18 @@ class One(Params):
     source: Path | None = None
 
 
+class Stone(One):
+    """What one stone depends on: of the source the part that is named like it, if there is one."""
+
+    unit: str
+
+    def content(self) -> dict[str, Any]:
+        return {name: value for name, value in super().content().items() if name != "unit"}
+
+    def files(self) -> dict[str, Path]:
+        return {"source": self.source / self.unit if self.source.is_dir() else self.source} if self.source else {}
+
+
 class Gather(One):
     count: int = Setting(3, ge=1)
 
@@ -87,8 +99,8 @@ def _note(stage: str, inputs: dict[str, Any], params: Params, context: Context) 
     SEEN[stage] = (inputs, params, context)
 
 
-def _one(run: Run, unit: str) -> One:
-    return One(**run.params("gather").model_dump(exclude={"count"}))
+def _one(run: Run, unit: str) -> Stone:
+    return Stone(unit=unit, **run.params("gather").model_dump(exclude={"count"}))
 
 
 HERE = "tests.workspace.toy"

@@ -1,7 +1,8 @@
 """One image of each camera, for a look at a scene: a folder of `NAME_color.png` and `NAME_depth.png` with the cameras.
 
-Cameras are in `cameras.json`; or, for views of one camera, its intrinsics are in `camera-intrinsics.txt` (3 x 3, or fx fy
-cx cy) and each view's pose, camera to world, in `NAME_pose.txt`. A dot or a dash may stand in place of the underscore.
+Cameras are in `cameras.json`; or, for views of one camera, its intrinsics are in `intrinsics.txt` (3 x 3, or fx fy cx cy;
+a longer name will do) and each view's pose, camera to world, in `NAME_pose.txt`. A dot or a dash may stand in place of
+the underscore.
 """
 
 import re
@@ -15,8 +16,6 @@ from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import STILL, entries_of
 from piegraph_cli.recording.layout import check_transform, image_size, read_cameras
 from piegraph_cli.recording.params import ReadParams
-
-INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt")
 
 
 def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
@@ -40,7 +39,7 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
 
 
 def _cameras(folder: Path, views: dict[str, dict[str, Path]]) -> tuple[list[Camera], list[str]]:
-    plain = next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
+    plain = next((p for p in sorted(entries_of(folder)) if "intrinsics" in p.name and p.suffix == ".txt"), None)
     if (folder / "cameras.json").is_file() or plain is None:
         cameras = read_cameras(folder)
         odd = sorted({c.name for c in cameras} ^ views.keys())

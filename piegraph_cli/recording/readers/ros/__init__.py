@@ -13,7 +13,7 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.end_effector import EndEffectorPath, checked
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.layout import cameras_file, read_cameras
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers.ros.bag import Stream, bags_of
 from piegraph_cli.recording.readers.ros.cameras import camera_of, world_of
 from piegraph_cli.recording.readers.ros.pictures import depth_units, encoded_color
@@ -63,8 +63,8 @@ class BagImages:
             raise DataError(message, where, hint)
 
 
-def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
-    """The films of a sequence, one a camera, and warnings."""
+def read(folder: Path, params: ReadParams, posed: bool = True) -> tuple[list[Film], list[str]]:
+    """The films of a sequence, one a camera, and warnings. Without `posed` a pose that nothing tells is NaN."""
     surveys = [survey(bag) for bag in bags_of(folder)]
     if not surveys:
         raise DataError("no bag in this folder", str(folder), "put .bag, .db3 or .mcap files there")
@@ -76,7 +76,7 @@ def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
         notes += alone
         for pair in _named(pairs, found, surveys):
             if given is None or pair.name in given:
-                camera = camera_of(pair, found, transforms, given[pair.name] if given else None, params)
+                camera = camera_of(pair, found, transforms, given[pair.name] if given else None, params, posed)
                 film, told = _film(camera, pair)
                 films.append(film)
                 notes += told
@@ -92,7 +92,7 @@ def read(folder: Path, params: IngestParams) -> tuple[list[Film], list[str]]:
     return sorted((_same_lens(film, films) for film in films), key=lambda film: film.camera.name), notes
 
 
-def end_effector(folder: Path, params: IngestParams) -> EndEffectorPath | None:
+def end_effector(folder: Path, params: ReadParams) -> EndEffectorPath | None:
     """The path of the frame of tf that the setting names, in the world; None where it names none."""
     if params.tf_end_effector is None:
         return None

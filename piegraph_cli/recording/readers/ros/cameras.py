@@ -7,7 +7,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.camera import Camera, DepthView
-from piegraph_cli.recording.params import IngestParams
+from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers.ros.pictures import depth_scale
 from piegraph_cli.recording.readers.ros.survey import Survey, Topic
 from piegraph_cli.recording.readers.ros.topics import Pair, info_topic, stream_prefix
@@ -23,7 +23,7 @@ PINHOLE = ("plumb_bob", "rational_polynomial", "brown_conrady", "modified_brown_
 COEFFICIENTS = (4, 5, 8, 12, 14)
 
 
-def world_of(transforms: Transforms, params: IngestParams) -> str | None:
+def world_of(transforms: Transforms, params: ReadParams) -> str | None:
     """The frame of tf that is the world: the one that the setting names, or the first of `WORLDS` that there is."""
     if params.tf_world is None:
         return next((name for name in WORLDS if name in transforms.frames), None)
@@ -34,7 +34,9 @@ def world_of(transforms: Transforms, params: IngestParams) -> str | None:
     return name
 
 
-def camera_of(pair: Pair, survey: Survey, transforms: Transforms, given: Camera | None, params: IngestParams) -> Camera:
+def camera_of(
+    pair: Pair, survey: Survey, transforms: Transforms, given: Camera | None, params: ReadParams, posed: bool
+) -> Camera:
     """The camera of two topics, as `given` where cameras.json has it, else by the bag. Raises `DataError` for what lacks."""
     scale = survey.units.get(stream_prefix(pair.depth.name).rpartition("/")[0], depth_scale(pair.depth.encoding))
     if given is not None and (given.depth_view or pair.registered):
@@ -42,7 +44,7 @@ def camera_of(pair: Pair, survey: Survey, transforms: Transforms, given: Camera 
     width, height, K, distortion = (
         intrinsics(pair.color, survey) if given is None else (given.width, given.height, given.K, given.distortion)
     )
-    pose = given.T_world_camera if given is not None else _pose(pair, transforms, params)
+    pose = given.T_world_camera if given is not None else _pose(pair, transforms, params, posed)
     view = None if pair.registered else _depth_view(pair, survey, transforms)
     return Camera(pair.name, width, height, K, distortion, pose, _scale(pair, scale, given), view)
 
@@ -104,15 +106,18 @@ def _terms(points: np.ndarray) -> np.ndarray:
     return np.stack([np.array(column).T for column in columns], axis=-1)
 
 
-def _pose(pair: Pair, transforms: Transforms, params: IngestParams) -> np.ndarray:
-    """T_world_camera [4, 4] of a camera at rest, by tf."""
+def _pose(pair: Pair, transforms: Transforms, params: ReadParams, needed: bool) -> np.ndarray:
+    """T_world_camera [4, 4] of a camera at rest, by tf; NaN where tf does not have it and it is not `needed`."""
     world, where = world_of(transforms, params), f"{pair.color.bag}, camera {pair.name}"
     times = np.linspace(pair.color.times.min(), pair.color.times.max(), LOOKS)
     poses = transforms.poses(world, pair.color.frame, times) if world else None
+    if poses is None and not needed:
+        return np.full((4, 4), np.nan)
     if poses is None:
         frames = ", ".join(transforms.frames) or "none"
         message = f"no pose: tf does not join its frame {pair.color.frame or '(none)'} to {world or 'a world'}"
-        hint = f"name the world with ingest.tf_world, or put cameras.json beside the bag with a camera {pair.name}"
+        hint = f"name the world with ingest.tf_world, or put cameras.json beside the bag with a camera {pair.name}; "
+        hint += "`piegraph unpack`, then `piegraph calibrate` finds poses by a board"
         raise DataError(f"{message}; frames: {frames}", where, hint)
     moved = np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max()
     turns = np.einsum("tij,ij->t", poses[:, :3, :3], poses[0, :3, :3])

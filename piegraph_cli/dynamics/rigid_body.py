@@ -1,0 +1,222 @@
+"""A rigid body that is pushed over a table, quasi-statically: five numbers fitted to strokes, the outline from particles."""
+
+import bisect
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.optimize import differential_evolution
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import Delaunay, cKDTree
+from torch import Tensor, nn
+
+from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.params import RigidParams
+from piegraph_cli.dynamics.rigid_kernel import push
+from piegraph_cli.dynamics.stroke import Strokes
+from piegraph_cli.errors import DataError
+from piegraph_cli.params import PICK
+
+JOINED = 0.95
+"""Share of the points that an outline holds."""
+FLAT = 1e-4
+"""Metres off a line below which points have no area."""
+STARTS = 12
+"""Yaws from which one shape is laid on another whose particles do not correspond."""
+MATCHED = 0.2
+"""Spacings between particles and those of another state up to which they correspond."""
+MOST = 400
+"""Strokes that numbers are fitted to: as many of all, evenly spread."""
+REACH = 1e-3
+"""Least distance (m) between the pusher's centre and the outline."""
+_SPREAD = np.array([0.5, 0.3, 0.01, 0.004, 0.004])
+"""Of the numbers before any stroke is seen: logarithms of friction and of c, then metres."""
+_OPTIMISER: dict[str, Any] = {"popsize": 8, "maxiter": 40, "tol": 1e-4, "polish": False, "rng": 0}
+
+
+class RigidBody(nn.Module):
+    """What is known of a body: its outline and particles in a frame of its own, and the five numbers of pushing.
+
+    The numbers are those of `rigid_kernel.push`. Before a stroke is seen they are the settings' and, for uniform pressure,
+    four fifths of the radius of gyration. The paper has no such model.
+    """
+
+    def __init__(self, params: RigidParams):
+        super().__init__()
+        self.params = params
+        for name, shape in (("edges", (0, 4)), ("shape", (0, 2)), ("numbers", (5,))):
+            self.register_buffer(name, torch.zeros(shape))
+
+    def _load_from_state_dict(self, state_dict: dict, prefix: str, *rest: Any) -> None:
+        for name in ("edges", "shape"):  # of as many pieces and particles as there are
+            if prefix + name in state_dict:
+                setattr(self, name, torch.empty_like(state_dict[prefix + name]))
+        super()._load_from_state_dict(state_dict, prefix, *rest)
+
+    def fit(self, data: Sequences) -> tuple[float, float]:
+        """Outline from the first sequence at rest, numbers from all strokes.
+
+        Returns the mean particle error (m) of the strokes after it, and how far (m) the particles are from moving rigidly.
+        Raises `DataError` for picks.
+        """
+        if data.picks:
+            raise DataError("strokes that hold the object: a rigid body is pushed", hint="train another model")
+        self.shape = torch.as_tensor(_centred(data.rest[0]), dtype=torch.float32)
+        outline = outline_of(self.shape.numpy(), self.params.alpha)
+        self.edges = torch.as_tensor(outline, dtype=torch.float32)
+        chosen = np.linspace(0, len(data.strokes) - 1, min(len(data.strokes), MOST)).astype(int)
+        (first, last), owner = data.strokes[chosen].T, data.owner[chosen]
+        frames = [body_frame(rest, self.shape.numpy()) for rest in data.rest]
+        before, after = (data.positions[k][..., :2] for k in (first, last))
+        poses = np.array(
+            [_compose(planar_fit(data.rest[o][:, :2], x), frames[o]) for o, x in zip(owner, before, strict=True)]
+        )
+        strokes = data.whole()[chosen]
+        scene = [torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, strokes.ends.flatten(1), before, after)]
+        self._fit_numbers(*scene)
+        rigid = planar_residual(before, after)
+        return float(self._errors(self.numbers[None], *scene).mean()), rigid
+
+    def _fit_numbers(self, *scene: Tensor) -> None:
+        gyration = float(self.shape.square().sum(1).mean().sqrt())
+        middle = np.array([math.log(self.params.friction), math.log(0.8 * gyration), self.params.reach, 0.0, 0.0])
+
+        def cost(x: np.ndarray) -> np.ndarray:
+            errors = self._errors(_numbers(x.T), *scene).double().mean(1).numpy()
+            return len(scene[0]) * np.log(errors) + np.log1p(((x.T - middle) / _SPREAD) ** 2).sum(1)
+
+        farthest = np.array([1.5, 0.9, 0.03, 0.6 * gyration, 0.6 * gyration])
+        bounds = list(zip(middle - farthest, middle + farthest, strict=True))
+        found = differential_evolution(cost, bounds, vectorized=True, updating="deferred", **_OPTIMISER)
+        self.numbers = _numbers(found.x[None])[0]
+
+    def _errors(self, numbers: Tensor, poses: Tensor, strokes: Tensor, before: Tensor, after: Tensor) -> Tensor:
+        """Mean particle error (m) [K, S] of every stroke [S] under every set of numbers [K, 5]."""
+        sets, count = len(numbers), len(poses)
+        moved = push(self.edges, poses.repeat(sets, 1), strokes.repeat(sets, 1), numbers.repeat_interleave(count, 0))
+        found = _carry(before.repeat(sets, 1, 1), poses.repeat(sets, 1), moved)
+        return (found - after.repeat(sets, 1, 1)).norm(dim=-1).mean(1).reshape(sets, count)
+
+    def predict(self, positions: Tensor, strokes: Strokes, rest: Tensor, frame: np.ndarray) -> Tensor:
+        """Positions [B, N, 3] (m) after strokes [B]; `frame`: `body_frame` of the object at rest [N, 3]."""
+        if bool((strokes.mode == PICK).any()):
+            raise DataError("a pick: a rigid body is pushed", hint="plan with pushes alone, or another model")
+        poses = _poses(rest[:, :2], positions[..., :2], frame)
+        ends = strokes.ends.flatten(1).to(poses)
+        moved = push(self.edges, poses, ends, self.numbers.expand(len(poses), 5))
+        return torch.cat([_carry(positions[..., :2], poses, moved), positions[..., 2:]], -1)
+
+
+def _numbers(x: np.ndarray) -> Tensor:
+    """Numbers [K, 5] as the kernel takes them, from what is fitted."""
+    return torch.as_tensor(
+        np.column_stack([np.exp(x[:, :2]), np.maximum(x[:, 2:3], REACH), x[:, 3:]]), dtype=torch.float32
+    )
+
+
+def outline_of(points: np.ndarray, alpha: float) -> np.ndarray:
+    """Ends [E, 4] (m) of the pieces of the outline of points [N, 2] (m): the edges of an alpha shape.
+
+    Triangles between points belong to it whose circumradius is at most `alpha` times the least with which they join nearly
+    all points into one. Raises `DataError` for points that have no area.
+    """
+    flat = len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT
+    triangles = np.zeros((0, 3), np.int64) if flat else Delaunay(points).simplices
+    radius = _circumradius(points, triangles)
+    ordered = np.sort(radius)
+    enough = bisect.bisect_left(ordered, True, key=lambda limit: _joined(triangles[radius <= limit], len(points)))
+    if enough == len(ordered):
+        raise DataError("the particles span no area: no outline", hint="a rigid body lies flat; train another model")
+    kept = triangles[radius <= alpha * ordered[enough]]
+    edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
+    pairs, times = np.unique(edges, axis=0, return_counts=True)
+    return points[pairs[times == 1]].reshape(-1, 4)
+
+
+def _circumradius(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Of triangles [T, 3] between points [N, 2] (m), metres."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    sides = [np.linalg.norm(u - v, axis=1) for u, v in ((b, c), (a, c), (a, b))]
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    return np.prod(sides, axis=0) / np.maximum(4 * area, 1e-12)
+
+
+def _joined(triangles: np.ndarray, count: int) -> bool:
+    """Whether triangles join nearly all of so many points into one."""
+    i, j = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
+    parts = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+    return bool(np.bincount(parts).max() >= JOINED * count)
+
+
+def planar_fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The motion (x, y (m), yaw) of the plane that brings points [N, 2] nearest to others in the same order."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    yaw = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
+    return np.array([*(target.mean(0) - source.mean(0) @ _turn(yaw).T), yaw])
+
+
+def planar_residual(before: np.ndarray, after: np.ndarray) -> float:
+    """How far (m, median) particles [S, N, 2] are after strokes from where a rigid motion would have brought them."""
+    off = [
+        np.linalg.norm(b @ _turn(m[2]).T + m[:2] - a, axis=1).mean()
+        for b, a in zip(before, after, strict=True)
+        for m in [planar_fit(b, a)]
+    ]
+    return float(np.median(off))
+
+
+def body_frame(rest: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """The pose (x, y, yaw) of a body whose particles are `rest` [N, 2 or 3], given them in its own frame, [M, 2].
+
+    The particles need not be the same ones: then the shapes are laid on each other from several yaws, and the best is taken.
+    """
+    points = rest[:, :2]
+    spacing = float(np.median(cKDTree(shape).query(shape, k=2)[0][:, 1]))
+    if len(points) == len(shape):
+        pose = planar_fit(shape, points)
+        if np.linalg.norm(shape @ _turn(pose[2]).T + pose[:2] - points, axis=1).mean() < MATCHED * spacing:
+            return pose
+    tree = cKDTree(points)
+    tries = []
+    for yaw in np.arange(STARTS) * (2 * math.pi / STARTS):
+        pose = np.array([*(points.mean(0) - shape.mean(0) @ _turn(yaw).T), yaw])
+        for _ in range(20):
+            laid = shape @ _turn(pose[2]).T + pose[:2]
+            source = np.concatenate([shape, shape[cKDTree(laid).query(points)[1]]])
+            pose = planar_fit(source, np.concatenate([points[tree.query(laid)[1]], points]))
+        laid = shape @ _turn(pose[2]).T + pose[:2]
+        tries.append((tree.query(laid)[0].mean() + cKDTree(laid).query(points)[0].mean(), pose))
+    return min(tries, key=lambda entry: entry[0])[1]
+
+
+def _poses(rest: Tensor, states: Tensor, frame: np.ndarray) -> Tensor:
+    """Poses [B, 3] of the body in states [B, N, 2], given its pose at rest [N, 2]."""
+    a, b = rest - rest.mean(0), states - states.mean(1, keepdim=True)
+    yaw = torch.atan2((a[:, 0] * b[..., 1] - a[:, 1] * b[..., 0]).sum(1), (a * b).sum((1, 2)))
+    offset = torch.as_tensor(frame[:2], dtype=rest.dtype, device=rest.device) - rest.mean(0)
+    cosine, sine = yaw.cos(), yaw.sin()
+    place = torch.stack([cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1]], 1)
+    return torch.cat([states.mean(1) + place, (yaw + float(frame[2]))[:, None]], 1)
+
+
+def _carry(points: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """Points [B, N, 2] of bodies that went from one pose [B, 3] to another."""
+    yaw = after[:, 2] - before[:, 2]
+    cosine, sine = yaw.cos()[:, None], yaw.sin()[:, None]
+    x, y = (points - before[:, None, :2]).unbind(-1)
+    return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1) + after[:, None, :2]
+
+
+def _compose(motion: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """A pose after a motion of the plane."""
+    return np.array([*(pose[:2] @ _turn(motion[2]).T + motion[:2]), pose[2] + motion[2]])
+
+
+def _turn(yaw: float) -> np.ndarray:
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
+def _centred(rest: np.ndarray) -> np.ndarray:
+    return rest[:, :2] - rest[:, :2].mean(0)

@@ -1,0 +1,125 @@
+"""Where an object shall be: its particles there, or a cloud, in which its own shape is looked for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from piegraph_cli.physics.association import align
+
+GOAL_POINTS = 2_000
+"""A goal cloud of more is thinned to these: what is planned does not depend on how densely a camera sees."""
+COARSE = 200
+"""Points with which one cloud is laid on another, before the best places are refined."""
+FINE = 600
+"""Points with which they are refined."""
+YAWS = 12
+"""Turns to begin with."""
+SHARPENED = 4
+"""Best places that are refined."""
+ROUNDS = 30
+"""Of the refinement."""
+SAME_SHAPE, MARGIN = 1.5, 0.002
+"""Two clouds have one shape whose distance is below so many times that of the goal's own halves, and so many metres."""
+AS_GOOD = 1.15
+"""A place counts beside the best one whose distance is below so many times its own, or than that of the goal's halves."""
+APART = 0.01
+"""Metres between points of places that are not the same."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the object shall be."""
+
+    points: np.ndarray
+    """[G, 3] metres."""
+    particles: np.ndarray | None = None
+    """[K, N, 3] metres: the object's particles in every pose that is the goal; None where only the cloud is known."""
+
+    @classmethod
+    def of_particles(cls, particles: np.ndarray) -> "Goal":
+        """The object's particles [N, 3] (m), one by one."""
+        return cls(particles, particles[None])
+
+    @classmethod
+    def of_cloud(cls, goal: np.ndarray, cloud: np.ndarray, particles: np.ndarray) -> "Goal":
+        """A goal cloud [G, 3] for an object that is seen as `cloud` [P, 3] now, with `particles` [N, 3] (m).
+
+        Where the goal shows the very shape of now, moved, the particles are known in it: in several poses, if the object is
+        symmetric. Where it is bent otherwise they are not.
+        """
+        goal = thinned(goal, GOAL_POINTS).astype(np.float32)
+        cloud = thinned(cloud, GOAL_POINTS).astype(np.float32)
+        moved = _places(cloud, goal, np.asarray(particles, np.float32))
+        return cls(goal, moved if len(moved) else None)
+
+
+def thinned(points: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of the points [P, 3], at random but always the same, in their order."""
+    if len(points) <= most:
+        return points
+    return points[np.sort(np.random.default_rng(0).choice(len(points), most, replace=False))]
+
+
+def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:
+    """Points [N, 3] (m) turned by DYAW (rad) about their centre and moved by DX, DY (m)."""
+    dx, dy, yaw = motion
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    centre = points[:, :2].mean(0)
+    moved = points.copy()
+    moved[:, :2] = (points[:, :2] - centre) @ rotation.T + centre + [dx, dy]
+    return moved.astype(np.float32)
+
+
+def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray) -> np.ndarray:
+    """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not."""
+    half = np.random.default_rng(1).permutation(len(goal))
+    grain = _apart(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
+    few, there = thinned(cloud, COARSE), torch.as_tensor(thinned(goal, COARSE))
+    tries = []
+    for yaw in np.arange(YAWS) * (2 * np.pi / YAWS):
+        turned = move_in_plane(few, (*(goal.mean(0) - few.mean(0))[:2], float(yaw)))
+        tries.append(align(torch.as_tensor(turned), there).numpy())
+    tries.sort(key=lambda rough: _apart(rough, there.numpy()))
+    tries = _distinct(tries)[:SHARPENED]
+    many, where = thinned(cloud, FINE), torch.as_tensor(thinned(goal, FINE))
+    found = []
+    for rough in tries:
+        sharp = align(torch.as_tensor(_carried(few, rough, many)), where, ROUNDS).numpy()
+        # along a thin thing nearest points hardly pull: there the middles of whole clouds know better
+        for placed in (sharp, sharp + (goal.mean(0) - _carried(many, sharp, cloud).mean(0))):
+            found.append((_apart(_carried(many, placed, cloud), goal), _carried(many, placed, particles)))
+    found.sort(key=lambda entry: entry[0])
+    good = [
+        placed
+        for apart, placed in found
+        if apart <= min(SAME_SHAPE * grain + MARGIN, AS_GOOD * max(grain, found[0][0]))
+    ]
+    return np.array(_distinct(good), np.float32).reshape(-1, *particles.shape)
+
+
+def _distinct(places: list[np.ndarray]) -> list[np.ndarray]:
+    """Those of places [P, 3] (m) of the same points that are not near an earlier one."""
+    kept: list[np.ndarray] = []
+    for placed in places:
+        if all(np.linalg.norm(placed - other, axis=1).mean() > APART for other in kept):
+            kept.append(placed)
+    return kept
+
+
+def _carried(source: np.ndarray, target: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points [N, 3] under the motion of the plane, and the lift, that took `source` [P, 3] nearest to `target` [P, 3].
+
+    What lies on a table turns about the vertical alone; a thin thing would also roll, which no cloud shows.
+    """
+    x, y = (source - source.mean(0))[:, :2].T
+    u, v = (target - target.mean(0))[:, :2].T
+    yaw = float(np.arctan2((x * v - y * u).sum(), (x * u + y * v).sum()))
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return ((points - source.mean(0)) @ turn.T + target.mean(0)).astype(np.float32)
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> float:
+    """The mean of the two mean nearest-point distances (m) of clouds [P, 3] and [Q, 3]."""
+    return float(cKDTree(one).query(other)[0].mean() + cKDTree(other).query(one)[0].mean()) / 2

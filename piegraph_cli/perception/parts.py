@@ -207,7 +207,8 @@ def _contrast(image: np.ndarray, table: np.ndarray) -> np.ndarray:
         return np.zeros(table.shape, np.float32)
     hue, light = hue_and_light(image)
     light = light - np.median(light[table])
-    hue = np.linalg.norm(hue - np.median(hue[table], axis=0), axis=-1)
+    red, blue = np.moveaxis(hue - np.median(hue[table], axis=0), -1, 0)
+    hue = np.sqrt(red**2 + blue**2)
     brighter, darker = np.maximum(light - 0.2, 0), np.maximum(-light - 0.8, 0)
     return hue + brighter + darker
 

@@ -67,8 +67,11 @@ class DepthView:
     """[4, 4] rigid transform, points of the depth camera to points of the colour camera, metres."""
 
 
-def straight_rays(pixels: np.ndarray, K: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Undistorted viewing rays [N, 3], scaled to z = 1, of pixels [N, 2] of a camera with K [3, 3] and `distortion`."""
+def straight_rays(pixels: np.ndarray, K: np.ndarray, distortion: np.ndarray, enough: float = 0.0) -> np.ndarray:
+    """Undistorted viewing rays [N, 3], scaled to z = 1, of pixels [N, 2] of a camera with K [3, 3] and `distortion`.
+
+    They are improved until none moves by more than `enough`.
+    """
     focal, centre = K[[0, 1], [0, 1]], K[:2, 2]
     bent = (pixels - centre) / focal
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = np.pad(distortion, (0, 14 - len(distortion)))
@@ -86,7 +89,7 @@ def straight_rays(pixels: np.ndarray, K: np.ndarray, distortion: np.ndarray) -> 
             ]
         )
         before, straight = straight, (bent - shift) / radial[:, None]
-        if np.array_equal(straight, before):
+        if len(straight) and np.abs(straight - before).max() <= enough:
             break
     return np.column_stack([straight, np.ones(len(straight))])
 

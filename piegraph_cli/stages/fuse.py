@@ -12,7 +12,7 @@ STAGE = Stage(
     ("frames", "hands", "masks"),
     "clouds",
     FuseParams,
-    version=1,
+    version=2,
     run="piegraph_cli.stages.fuse:run",
 )
 

@@ -47,10 +47,9 @@ def align(
     always = torch.ones(count, dtype=torch.bool)
     for _ in range(rounds):
         distance = torch.cdist(particles * _METRIC, cloud * _METRIC)
-        to_point, point = distance.min(1)
-        to_particle, particle = distance.min(0)
+        (to_point, point), (to_particle, particle) = _nearest(distance, 1), _nearest(distance, 0)
         usual = to_point[seen] if seen.any() else to_point
-        near = torch.cat([to_point <= usual.quantile(TRIM), to_particle <= to_particle.quantile(TRIM), always])
+        near = torch.cat([to_point <= _usual(usual), to_particle <= _usual(to_particle), always])
         places = particles[:, :3]
         source = torch.cat([places, places[particle], places])
         target = torch.cat([cloud[point, :3], cloud[:, :3], start])
@@ -59,6 +58,19 @@ def align(
         if float((particles[:, :3] - places).abs().max()) < ALIGNED:
             break
     return particles
+
+
+def _nearest(distance: Tensor, axis: int) -> tuple[Tensor, Tensor]:
+    """What `min` along an axis returns, in half of the time."""
+    return distance.amin(axis), torch.from_numpy(distance.numpy().argmin(axis))
+
+
+def _usual(distance: Tensor) -> float:
+    """The quantile `TRIM` of distances [P], in half of PyTorch's time."""
+    place = TRIM * (len(distance) - 1)
+    low, high = int(place), min(int(place) + 1, len(distance) - 1)
+    sorted_there = np.partition(distance.numpy(), (low, high))
+    return float(sorted_there[low] + (place - low) * (sorted_there[high] - sorted_there[low]))
 
 
 def moved(particles: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:

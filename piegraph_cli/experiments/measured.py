@@ -1,5 +1,6 @@
 """Strokes that others measured in one file, as files for `import`: a sequence of two frames each."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ NEEDED = "before and after [S, N, 2 or 3], start and end [S, 2 or 3], metres"
 def write_strokes(file: Path | None, folder: Path) -> None:
     """Write each stroke of `file` into `folder`: particles `before` and `after` it, `start` and `end` of the pusher.
 
-    Raises `UsageError` without a file and `DataError` for one that lacks something; files that are there stay.
+    Raises `UsageError` without a file and `DataError` for one that lacks something. Files that are there stay where they
+    hold the same, so that what was made of them stays fresh; those of strokes that `file` lacks go.
     """
     if file is None:
         raise UsageError("whose strokes?", "pushes", f"--data FILE.npz with {NEEDED}")
@@ -28,18 +30,24 @@ def write_strokes(file: Path | None, folder: Path) -> None:
     before, after, start, end = (_in_space(arrays[name], name, file) for name in NAMES)
     if before.ndim != 3 or before.shape != after.shape or {start.shape, end.shape} != {(len(before), 3)}:
         raise DataError("arrays do not belong together", str(file), f"an .npz of {NEEDED}")
+    if not len(before):
+        raise DataError("holds no stroke", str(file), f"an .npz of {NEEDED}")
     for number in range(len(before)):
-        path = folder / f"{number:05d}.npz"
-        if path.exists() and path.stat().st_mtime_ns > file.stat().st_mtime_ns:
+        path, stream = folder / f"{number:05d}.npz", io.BytesIO()
+        np.savez(
+            stream,
+            particles=np.stack([before[number], after[number]]),
+            end_effector=np.stack([start[number], end[number]]),
+            times=np.array([0.0, 1.0]),
+            contact=np.array([1, 1]),
+        )
+        if path.is_file() and path.read_bytes() == stream.getvalue():
             continue
-        with atomic_file(path) as temporary, temporary.open("wb") as stream:
-            np.savez(
-                stream,
-                particles=np.stack([before[number], after[number]]),
-                end_effector=np.stack([start[number], end[number]]),
-                times=np.array([0.0, 1.0]),
-                contact=np.array([1, 1]),
-            )
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(stream.getvalue())
+    for path in folder.glob("[0-9][0-9][0-9][0-9][0-9].npz"):
+        if int(path.stem) >= len(before):
+            path.unlink()
 
 
 def _in_space(array: np.ndarray, name: str, file: Path) -> np.ndarray:

@@ -4,8 +4,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piegraph_cli.errors import DataError
+
 UNDISTORT_ITERATIONS = 20
 """Fixed-point steps that invert the distortion, at most; enough for 1e-6 px with lenses of depth cameras."""
+
+SKEW = 0.01
+"""What the second number of intrinsics may be, as a share of the focal length; it is not used."""
+
+
+def check_intrinsics(K: np.ndarray, name: str, where: str) -> np.ndarray:
+    """A finite matrix [3, 3], if it is one of intrinsics: fx 0 cx, 0 fy cy, 0 0 1. Raises `DataError` where it is not."""
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise DataError(f"{name} must have positive focal lengths", where, "its rows are fx 0 cx, 0 fy cy, 0 0 1")
+    if abs(K[0, 1]) > SKEW * K[0, 0] or not np.allclose([K[1, 0], *K[2]], [0, 0, 0, 1], atol=1e-6):
+        why = ": it is transposed" if np.allclose(K[:2, 2], 0) and K[2, :2].any() else ""
+        raise DataError(f"{name} is no matrix of intrinsics{why}", where, "its rows are fx 0 cx, 0 fy cy, 0 0 1")
+    return K
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
 """The sequence folders of a recording. Nothing heavy is imported: whoever lists a run's sequences asks here first."""
 
 import json
+import os
 import re
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -79,6 +81,18 @@ def entries_of(folder: Path) -> list[Path]:
         return [path for path in folder.iterdir() if not path.name.startswith(".")] if folder.is_dir() else []
     except OSError as error:
         raise unreadable(error, folder) from None
+
+
+def check_files(folder: Path) -> None:
+    """Refuse what would keep a reader waiting, or reading without end: pipes, devices and sockets, or links to them."""
+    for place, _, names in os.walk(folder):
+        for path in (Path(place, name) for name in names if not name.startswith(".")):
+            try:
+                mode = path.stat().st_mode
+            except OSError:
+                continue  # a link to nothing: whoever needs it says so
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                raise DataError("is no regular file but a pipe, a device or a socket", str(path), "remove it")
 
 
 def unreadable(error: OSError, place: Path) -> DataError:

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera, DepthView
+from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.numbers import Number, by_number
 
@@ -76,7 +76,7 @@ def read_cameras_file(path: Path) -> CamerasFile:
         message = f"{place}: {problem['msg']}" if place else problem["msg"]
         raise DataError(message, str(path), "see docs/formats.md for the fields") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot be read: {error}", str(path)) from None
+        raise DataError(f"cannot be read: {error}", str(path), "copy or write it again, as UTF-8") from None
     if entries.version != LAYOUT_VERSION:
         message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
         raise DataError(message, str(path), "update piegraph")
@@ -143,10 +143,7 @@ def _matrix(values: list[list[float]], size: int, name: str, where: str) -> np.n
 
 
 def _intrinsics(values: list[list[float]], name: str, where: str) -> np.ndarray:
-    K = _matrix(values, 3, name, where)
-    if K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise DataError(f"{name} must have positive focal lengths", where, "see docs/formats.md")
-    return K
+    return check_intrinsics(_matrix(values, 3, name, where), name, where)
 
 
 def _distortion(values: list[float], name: str, where: str) -> np.ndarray:
@@ -237,7 +234,9 @@ def read_depth(path: Path, camera: Camera) -> np.ndarray:
 
     _, image = _decoded(path, cv2.IMREAD_UNCHANGED, camera.name)
     if image.dtype != np.uint16 or image.ndim != 2:
-        raise DataError(f"depth must be a one-channel 16-bit PNG, got {image.dtype} {image.shape}", str(path))
+        raise DataError(
+            f"depth must be a one-channel 16-bit PNG, got {image.dtype} {image.shape}", str(path), "export it again"
+        )
     view = camera.depth_view or camera
     if image.shape != (view.height, view.width):
         size = f"{image.shape[1]} x {image.shape[0]}"

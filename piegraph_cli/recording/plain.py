@@ -1,7 +1,7 @@
 """Numbers in files of others, `.npy` and `.pkl`, of which nothing is run: a pickle may build arrays, lists and numbers only."""
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ LARGEST = 1 << 16
 """Bytes of a file of intrinsics or poses."""
 LARGEST_PICKLE = 1 << 20
 """Bytes of a pickle."""
+MOST = 10_000
+"""Things in a pickle; a list that is in itself many times over has more than it has bytes."""
 LARGEST_IMAGE = 1 << 26
 """Bytes of an image."""
 
@@ -45,10 +47,12 @@ def load_depth(path: Path, camera: str, shape: tuple[int, int]) -> np.ndarray:
 
 def _loaded(path: Path, largest: int, where: str, hint: str) -> np.ndarray:
     try:
+        if not path.is_file():
+            raise ValueError("no regular file")
         if path.stat().st_size > largest:
             raise ValueError(f"too large, more than {largest} bytes")
         return np.asarray(np.load(path, allow_pickle=False))
-    except (OSError, ValueError, TypeError, EOFError, SyntaxError, MemoryError) as error:
+    except Exception as error:  # a damaged header can raise anything
         raise DataError(f"cannot be read: {error}", where, hint) from None
 
 
@@ -58,10 +62,12 @@ def load_pickle(path: Path) -> Any:
     Raises `DataError` naming what else it wants to make; nothing of that is looked up, imported or called.
     """
     try:
+        if not path.is_file():
+            raise ValueError("no regular file")
         if path.stat().st_size > LARGEST_PICKLE:
             raise ValueError(f"too large, more than {LARGEST_PICKLE} bytes")
         with path.open("rb") as file:
-            return _plain(_Unpickler(file).load())
+            return _plain(_Unpickler(file).load(), iter(range(MOST)))
     except DataError as error:
         raise DataError(error.message, str(path), "save it again as plain arrays; do not open it elsewhere") from None
     except Exception as error:  # a damaged pickle can raise anything
@@ -136,12 +142,14 @@ class _Unpickler(pickle.Unpickler):
         return _NUMPY[short, name]
 
 
-def _plain(value: Any) -> Any:
-    """The same with arrays in place of what stood in for them."""
+def _plain(value: Any, left: Iterator[int]) -> Any:
+    """The same with arrays in place of what stood in for them; no more things than are `left`."""
+    if next(left, None) is None:
+        raise DataError(f"holds more than {MOST} things")
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_plain(one, left) for one in value]
     if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(one, left) for key, one in value.items()}
     if isinstance(value, _Array):
         return value.value
     if value is None or isinstance(value, np.ndarray | np.generic | int | float | str):

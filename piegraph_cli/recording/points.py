@@ -6,6 +6,7 @@ A file that was cut off, or whose arrays contradict each other, is refused: half
 import io
 import logging
 import math
+import os
 import zipfile
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -55,7 +56,7 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np
     readers: dict[str, Reader] = {".ply": _vertices, ".npz": _read_npz, **more}
     names = ", ".join(readers)
     if not path.is_file():
-        message = "is not a regular file" if path.exists() else "no such file"
+        message = "is not a regular file" if os.path.lexists(path) else "no such file"
         raise DataError(message, str(path), f"give a file of {names}")
     if path.suffix not in readers:
         suffix = path.suffix or "a file without suffix"
@@ -78,7 +79,10 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np
 
 
 def check_size(path: Path) -> int:
-    """The size of a file. Raises `DataError` for one that is too large to be read."""
+    """The size of a file. Raises `DataError` for one that is too large to be read, and for what is no file."""
+    if not path.is_file():
+        message = "is not a regular file" if os.path.lexists(path) else "no such file"
+        raise DataError(message, str(path), "give a file")
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise DataError(

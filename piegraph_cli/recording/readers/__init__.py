@@ -5,12 +5,13 @@ end-effector has `end_effector(folder, params)` as well, which gives that, or No
 """
 
 import importlib
+import os
 from pathlib import Path
 from types import ModuleType
 
 from piegraph_cli.recording.end_effector import NAME, EndEffectorPath, read_end_effector
 from piegraph_cli.recording.film import Film
-from piegraph_cli.recording.folders import unreadable
+from piegraph_cli.recording.folders import check_files, unreadable
 from piegraph_cli.recording.params import ReadParams
 
 
@@ -19,6 +20,7 @@ def read_films(folder: Path, layout: str, params: ReadParams = ReadParams()) -> 
 
     Raises `DataError` naming file and camera for what is missing or wrong.
     """
+    check_files(folder)
     try:
         return _reader(layout).read(folder, params)
     except OSError as error:
@@ -30,7 +32,7 @@ def read_path(folder: Path, layout: str, params: ReadParams) -> EndEffectorPath 
 
     Raises `DataError` naming file and line for what is wrong.
     """
-    if (folder / NAME).is_file():
+    if os.path.lexists(folder / NAME):
         return read_end_effector(folder / NAME)
     held = getattr(_reader(layout), "end_effector", None)
     return held(folder, params) if held else None

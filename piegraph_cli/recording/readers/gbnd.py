@@ -23,7 +23,8 @@ TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     """The films of a sequence folder, one a camera, and what was taken for granted."""
-    cameras = sorted(path for path in entries_of(folder) if (path / "camera_params.npy").is_file())
+    named = (path for path in entries_of(folder) if path.is_dir())
+    cameras = sorted(p for p in named if p.name.startswith("camera_") or (p / "camera_params.npy").is_file())
     films = [_read_film(path) for path in cameras]
     notes = [
         f"no time stamps: {RATE:g} frames a second are taken for granted",

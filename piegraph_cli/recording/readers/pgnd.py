@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.camera import Camera, check_intrinsics
 from piegraph_cli.recording.end_effector import EndEffectorPath, checked
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import entries_of
@@ -33,8 +33,8 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     count = len(intrinsics)
     turns = load_numbers(place / "rvecs.npy", (count, 3))
     shifts = load_numbers(place / "tvecs.npy", (count, 3, 1))
-    if (intrinsics[:, [0, 1], [0, 1]] <= 0).any():
-        raise DataError("focal lengths must be positive", str(place / "intrinsics.npy"), "it holds a matrix per camera")
+    for c, K in enumerate(intrinsics):
+        check_intrinsics(K, f"the matrix of camera_{c}", str(place / "intrinsics.npy"))
     names, wanted = _camera_folders(folder), [f"camera_{c}" for c in range(count)]
     if names != wanted:
         odd = sorted(set(names) ^ set(wanted))[0]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.camera import Camera, check_intrinsics
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.layout import check_transform, image_size, read_color, read_mask
@@ -28,6 +28,8 @@ from piegraph_cli.recording.video import VideoFrames
 TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 HANDLERS = re.compile("hand|arm|finger|gripper|robot|controller|human|person", re.IGNORECASE)
 """In the names of masks that are not the object's."""
+LAST = 2**62
+"""No step is so late."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,9 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
         film, gaps = _film(folder, camera, about)
         films.append(film)
         notes += gaps
+    bare = [film.camera.name for film in films if not film.images.masks]  # type: ignore[attr-defined]
+    if 0 < len(bare) < len(films):
+        notes.append(f"mask/ has no mask of an object for camera {', '.join(bare)}: it will show nothing")
     return films, notes
 
 
@@ -107,7 +112,14 @@ def _check_size(found: tuple[int, int], wanted: tuple[int, int], where: str) -> 
 def _by_step(folder: Path, suffixes: tuple[str, ...], camera: str) -> dict[int, Path]:
     """The files of a folder by the number that is their name."""
     found = by_number([path for path in entries_of(folder) if path.suffix.lower() in suffixes])
-    odd = next((path.name for number, path in found.items() if len(number) > 1 or number[0] % 1), None)
+    odd = next(
+        (
+            path.name
+            for number, path in found.items()
+            if len(number) > 1 or number[0] != int(number[0]) or number[0] >= LAST
+        ),
+        None,
+    )
     if odd or not found:
         what = f"{odd} is not named by a number" if odd else f"no {' or '.join(suffixes)} files"
         raise DataError(f"camera {camera}: {what}", str(folder), "images are named STEP")
@@ -131,10 +143,10 @@ class _Metadata:
         self.path, self.fields = path, _read_json(path)
         self.intrinsics = self._numbers("intrinsics", (-1, 3, 3))
         self.width, self.height = (int(n) for n in self._numbers("WH", (2,)))
-        if (self.intrinsics[:, [0, 1], [0, 1]] <= 0).any() or min(self.width, self.height) <= 0:
-            raise DataError(
-                "focal lengths and sizes must be positive", str(path), "it holds intrinsics [N, 3, 3] and WH"
-            )
+        for c, K in enumerate(self.intrinsics):
+            check_intrinsics(K, f"intrinsics of camera {c}", str(path))
+        if min(self.width, self.height) <= 0:
+            raise DataError("sizes must be positive", str(path), "it holds intrinsics [N, 3, 3] and WH")
 
     def _numbers(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         hint = "copy it from the recording again"
@@ -142,7 +154,7 @@ class _Metadata:
             values = np.array(self.fields[name], float)
         except KeyError:
             raise DataError(f"has no {name}", str(self.path), hint) from None
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             raise DataError(f"{name} are not numbers", str(self.path), hint) from None
         fits = values.ndim == len(shape) and all(w in (-1, n) for n, w in zip(values.shape, shape, strict=True))
         if not fits or not np.isfinite(values).all():
@@ -156,12 +168,17 @@ class _Metadata:
             if rate <= 0:
                 raise DataError(f"fps is {rate:g}", str(self.path), "frames a second")
             return np.array(steps) / rate
-        of_camera = self.fields["recording"].get(camera, {}) if isinstance(self.fields["recording"], dict) else {}
-        try:
-            return np.array([float(of_camera[str(step)]) for step in steps])
-        except (KeyError, TypeError, ValueError) as error:
-            lost = next((step for step in steps if str(step) not in of_camera), error)
-            raise DataError(f"recording has no time of camera {camera}, frame {lost}", str(self.path)) from None
+        recording = self.fields["recording"]
+        of_camera = recording.get(camera) if isinstance(recording, dict) else None
+        times = []
+        for step in steps:
+            try:
+                times.append(float(of_camera[str(step)]))
+            except (KeyError, TypeError, ValueError, OverflowError):
+                hint = "copy it from the recording again, or remove the images of that frame"
+                message = f"recording has no time of camera {camera}, frame {step}"
+                raise DataError(message, str(self.path), hint) from None
+        return np.array(times)
 
 
 def _poses(path: Path, count: int) -> list[np.ndarray]:
@@ -170,7 +187,7 @@ def _poses(path: Path, count: int) -> list[np.ndarray]:
     hint = "it holds a list of a 4 x 4 matrix per camera, camera to world"
     try:
         poses = np.array(found, float)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         raise DataError("does not hold matrices", str(path), hint) from None
     if poses.shape != (count, 4, 4) or not np.isfinite(poses).all():
         message = f"holds {list(poses.shape)}, and metadata.json has intrinsics of {count} cameras"

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.camera import Camera, check_intrinsics
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import STILL, entries_of
 from piegraph_cli.recording.layout import check_transform, image_size, read_cameras
@@ -67,9 +67,9 @@ def _intrinsics(path: Path) -> np.ndarray:
     values = _numbers(path)
     if len(values) == 4:
         values = np.array([values[0], 0, values[2], 0, values[1], values[3], 0, 0, 1])
-    if len(values) != 9 or min(values[0], values[4]) <= 0:
+    if len(values) != 9:
         raise DataError("must hold a 3 x 3 matrix, or fx fy cx cy", str(path), "focal lengths are positive pixels")
-    return values.reshape(3, 3)
+    return check_intrinsics(values.reshape(3, 3), "the matrix", str(path))
 
 
 def _numbers(path: Path) -> np.ndarray:

@@ -19,6 +19,8 @@ from piegraph_cli.recording.timing import check_times, matched
 DEPTH_SCALE = 1 / 5000
 SKEW = 0.02
 """Seconds that colour and depth of a frame may be apart."""
+LARGEST = 1e12
+"""Times and metres that are none; such lines are left out, as those without numbers."""
 AT_REST, TURNED = 0.01, 1.0
 """Metres and degrees that the camera may move in a sequence."""
 PUBLISHED = {
@@ -52,8 +54,8 @@ def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
     if not rows or any(len(row) != 2 for row in rows):
         raise DataError("lines must be: time file", str(path), "lists of the TUM RGB-D layout have two columns")
     files = [path.parent / row[1] for row in rows]
-    outside = next((f for f in files if not f.resolve().is_relative_to(path.parent.resolve())), None)
-    missing = outside or next((f for f in files if not f.is_file()), None)
+    missing = next((f for f in files if not f.is_file()), None)
+    missing = missing or next((f for f in files if not f.resolve().is_relative_to(path.parent.resolve())), None)
     if missing:
         raise DataError(f"image {missing.name} is not in the sequence", str(path), "copy rgb/ and depth/ as a whole")
     return _numbers([row[:1] for row in rows], 1, path)[:, 0], files
@@ -88,7 +90,8 @@ def _intrinsics(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     else:
         raise DataError("the camera's intrinsics are missing", str(folder), "write calibration.txt: fx fy cx cy")
     if len(values) not in (4, 8, 9, 12) or not np.isfinite(values).all() or min(values[:2]) <= 0:
-        raise DataError("must hold fx fy cx cy, and 4, 5 or 8 numbers of distortion", str(path))
+        message = "must hold fx fy cx cy, and 4, 5 or 8 numbers of distortion"
+        raise DataError(message, str(path), "write them in one line, with spaces between")
     fx, fy, cx, cy = values[:4]
     distortion = np.pad(values[4:], (0, max(0, 9 - len(values))))
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), distortion
@@ -100,9 +103,9 @@ def _pose(folder: Path, times: np.ndarray) -> np.ndarray:
 
     path = folder / "groundtruth.txt"
     rows = _numbers([line.split() for line in _lines(path)], 8, path)
-    rows = rows[np.isfinite(rows).all(1)]
+    rows = rows[(np.abs(rows) < LARGEST).all(1)]
     during = rows[(rows[:, 0] >= times[0] - 1) & (rows[:, 0] <= times[-1] + 1)]
-    if not len(during) or (np.linalg.norm(during[:, 4:], axis=1) < 0.5).any():
+    if not len(during) or (np.abs(np.log2(np.linalg.norm(during[:, 4:], axis=1))) > 1).any():
         raise DataError("has no pose at the time of the images", str(path), "lines are: time tx ty tz qx qy qz qw")
     turns = Rotation.from_quat(during[:, 4:])
     middle = len(during) // 2

@@ -5,6 +5,7 @@ heavy is imported in any of them, so that `piegraph --help` answers at once. The
 """
 
 import math
+import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
@@ -112,7 +113,7 @@ class Params(BaseModel):
 
     def placed(self, base: Path) -> dict[str, str]:
         """The settings that name files, with paths that are taken from `base` made absolute."""
-        return {name: str((base / file).resolve()) for name, file in self.files().items()}
+        return {name: os.path.realpath(base / file) for name, file in self.files().items()}
 
     def artifacts(self) -> dict[str, tuple[Path, str]]:
         """Artifacts of other runs that these settings name: path and what it is; their keys enter the cache key."""

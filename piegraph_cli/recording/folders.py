@@ -31,14 +31,14 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
     inside = [] if is_ros2_folder(recording) else entries_of(recording)
     folders = sorted(path for path in inside if path.is_dir() or path.suffix in BAGS)
     for name in _wanted(layout):
-        sequences = [path for path in folders if _fits(name, path)]
+        sequences = [path for path in folders if fits(name, path)]
         if sequences:
             return sequences
-    others = next((name for name in SIGNS if any(_fits(name, path) for path in folders)), None)
+    others = next((name for name in SIGNS if any(fits(name, path) for path in folders)), None)
     if others:
         message = f"no sequence found in the layout {layout}, but in the layout {others}"
         raise DataError(message, str(recording), "leave --layout out, and ingest.layout in the recipe")
-    if any(_fits(name, recording) for name in _wanted(layout)):
+    if any(fits(name, recording) for name in _wanted(layout)):
         hint = f"give the folder above it: {recording.resolve().parent}"
         raise DataError("this is one sequence, not a recording of sequences", str(recording), hint)
     raise DataError(
@@ -50,18 +50,19 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
 
 def sequences_in(folder: Path, layout: str = "auto") -> list[str]:
     """The names of the sequences that a folder holds; none where it is itself a sequence, or something else."""
-    if any(_fits(name, folder) for name in _wanted(layout)):
+    if any(fits(name, folder) for name in _wanted(layout)):
         return []
     folders = sorted(path for path in entries_of(folder) if path.is_dir())
-    return [path.name for path in folders if any(_fits(name, path) for name in _wanted(layout))]
+    return [path.name for path in folders if any(fits(name, path) for name in _wanted(layout))]
 
 
 def layout_of(sequence: Path, layout: str = "auto") -> str:
     """The layout of a sequence folder: the one given, or the first of `SIGNS` that fits."""
-    return next((name for name in _wanted(layout) if _fits(name, sequence)), _wanted(layout)[0])
+    return next((name for name in _wanted(layout) if fits(name, sequence)), _wanted(layout)[0])
 
 
-def _fits(layout: str, folder: Path) -> bool:
+def fits(layout: str, folder: Path) -> bool:
+    """Whether a folder looks like a sequence in that layout."""
     try:
         return SIGNS[layout](folder)
     except OSError as error:

@@ -1,5 +1,7 @@
 """What a look needs beside its images: settings and the object of a run, and images that lie in a recording."""
 
+import os
+import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -71,7 +73,7 @@ def read_scene(source: Path | str, layout: str = "auto") -> Scene:
     what is nearest to it in time. Raises `DataError` for folders, images and frames that cannot be used.
     """
     folder, number = _place(str(source))
-    if not folder.is_dir():
+    if not os.path.isdir(folder):  # a name that is too long is none
         raise DataError("no such folder", str(folder), "give RECORDING/SEQUENCE:FRAME, or a folder of single frames")
     params = validated(ReadParams, {"layout": layout}, "ingest", str(folder), "piegraph list layouts")
     inside = sequences_in(folder, params.layout)
@@ -88,7 +90,8 @@ def read_scene(source: Path | str, layout: str = "auto") -> Scene:
 def _place(source: str) -> tuple[Path, int | None]:
     """A folder and a frame, from FOLDER or FOLDER:FRAME."""
     folder, colon, frame = source.rpartition(":")
-    return (Path(folder), int(frame)) if colon and frame.isdigit() and folder else (Path(source), None)
+    numbered = colon and folder and re.fullmatch(r"[0-9]{1,18}", frame)
+    return (Path(folder), int(frame)) if numbered else (Path(source), None)
 
 
 def _time(film: Film, number: int | None, folder: Path) -> float:

@@ -152,7 +152,7 @@ def _newest(found: os.stat_result) -> int:
 
 def _fingerprint(path: str) -> tuple[str, int]:
     """One hash of names and stamps of a file, or of a folder's files, and the cameras.json beside it; and the newest time."""
-    files = sorted(_files(path)) if os.path.isdir(path) else [("", os.stat(path))]
+    files = sorted(files_below(path)) if os.path.isdir(path) else [("", os.stat(path))]
     beside = os.path.join(os.path.dirname(path), "cameras.json")
     if os.path.isfile(beside):
         files.append(("../cameras.json", os.stat(beside)))
@@ -162,16 +162,27 @@ def _fingerprint(path: str) -> tuple[str, int]:
     return digest.hexdigest(), max((_newest(found) for _, found in files), default=0)
 
 
-def _files(folder: str) -> list[tuple[str, os.stat_result]]:
-    """The files below a folder, but for names that begin with a dot; folders that are links are not entered."""
-    found, inside = [], [""]
+def files_below(folder: str) -> list[tuple[str, os.stat_result]]:
+    """The files below a folder, but for names that begin with a dot.
+
+    Links to folders are entered, each place once, but for those in which the folder itself lies.
+    """
+    found, inside, root = [], [""], os.path.realpath(folder)
+    entered: set[str] = set()
     while inside:
         above = inside.pop()
         with os.scandir(f"{folder}/{above}") as entries:
-            for entry in entries:
+            for entry in sorted(entries, key=lambda one: one.name):
                 if entry.name.startswith("."):
                     continue
-                if entry.is_dir(follow_symlinks=False):
+                if entry.is_symlink():
+                    place = os.path.realpath(entry.path)
+                    if os.path.isfile(place):
+                        found.append((above + entry.name, os.stat(place)))
+                    elif os.path.isdir(place) and place not in entered and os.path.commonpath([root, place]) != place:
+                        entered.add(place)
+                        inside.append(f"{above}{entry.name}/")
+                elif entry.is_dir(follow_symlinks=False):
                     inside.append(f"{above}{entry.name}/")
                 elif entry.is_file():
                     found.append((above + entry.name, entry.stat()))

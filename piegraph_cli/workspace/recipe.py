@@ -1,5 +1,6 @@
 """Recipes: one TOML file per experiment, a section per stage. The one in force is kept as RUN/recipe.toml."""
 
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -53,7 +54,7 @@ class Recipe:
         section |= {name: place for name, place in checked.placed(base).items() if name in values}
         for name, several in checked:
             if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
-                places = [str((base / file).resolve()) for file in several]
+                places = [os.path.realpath(base / file) for file in several]
                 section[name] = places if isinstance(section[name], list) else places[0]
         return replace(self, sections=self.sections | {stage.name: section})
 

@@ -14,7 +14,7 @@ from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params
 from piegraph_cli.workspace.artifact import Artifact, Header, read_artifact
-from piegraph_cli.workspace.known import Known, known_of
+from piegraph_cli.workspace.known import Known, files_below, known_of
 from piegraph_cli.workspace.locks import held
 from piegraph_cli.workspace.recipe import Recipe, load_recipe
 from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
@@ -305,15 +305,18 @@ def content_hash(path: Path, setting: str) -> str:
     """
     digest = hashlib.sha256()
     if path.is_dir():
-        found = (p for p in path.rglob("*") if not any(part.startswith(".") for part in p.relative_to(path).parts))
-        files = sorted(p for p in found if p.is_file())
+        try:
+            files = sorted(path / name for name, _ in files_below(str(path)))
+        except OSError as error:
+            where = str(error.filename or path)
+            raise DataError(f"cannot be read: {error.strerror or error}", where, "give yourself the right") from None
     elif path.is_file():
         files = [path]
     else:
         raise DataError("no such file or folder", str(path), f"correct the setting {setting}")
     files += [p for p in [path.parent / "cameras.json"] if p.is_file() and p != path]
     for file in files:
-        digest.update(file.relative_to(path.parent).as_posix().encode() + b"\0")
+        digest.update(os.fsencode(file.relative_to(path.parent).as_posix()) + b"\0")
         digest.update(_file_hash(file))
     return digest.hexdigest()
 

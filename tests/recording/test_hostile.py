@@ -12,6 +12,7 @@ from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.plain import load_numbers
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.sequence import read_sequence
+from piegraph_cli.stages.look import read_scene
 from tests.recording.test_readers import phystwin, with_masks, write_gbnd, write_pgnd, write_phystwin, write_tum
 from tests.stages.make_recording import make_recording
 
@@ -158,3 +159,9 @@ def test_transposed_intrinsics_are_told(tmp_path, write, layout, change):
     change(place)
     with pytest.raises(DataError, match="is no matrix of intrinsics: it is transposed"):
         read_films(place, layout)
+
+
+@pytest.mark.parametrize("frame", ["²", "٣", "9" * 5000])
+def test_what_is_no_frame_number_is_a_folder_that_is_not_there(tmp_path, frame):
+    with pytest.raises(DataError, match="no such folder"):
+        read_scene(f"{write_ours(tmp_path)}:{frame}")

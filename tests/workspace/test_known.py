@@ -319,3 +319,29 @@ def test_a_robot_that_is_found_and_sequences_left_out_change_nothing(tmp_path):
         file.write_text(text)
         written.append(content_hash(sequence, "recording"))
     assert len(set(written)) == 4
+
+
+def test_what_lies_behind_links_counts_and_loops_end(tmp_path, settled):
+    sequence, elsewhere = tmp_path / "rec" / "sequence_0000", tmp_path / "disk" / "cam0"
+    elsewhere.mkdir(parents=True)
+    sequence.mkdir(parents=True)
+    (elsewhere / "0.png").write_bytes(b"one")
+    (sequence / "cam0").symlink_to(elsewhere)
+    for name, target in (("up", ".."), ("root", "/"), ("self", "self"), ("again", elsewhere)):
+        (sequence / name).symlink_to(target)
+    (elsewhere / "back").symlink_to(sequence)
+
+    def content():
+        return Known(tmp_path).content(sequence, lambda: content_hash(sequence, "recording"))
+
+    before = content()
+    assert before == content()
+    (elsewhere / "0.png").write_bytes(b"two")
+    assert content() != before
+    assert [name for name, _ in known.files_below(str(sequence))] == ["again/0.png"]
+
+
+def test_names_that_are_no_text_are_names(tmp_path):
+    name = os.fsdecode(b"a\xff.png")
+    (tmp_path / name).write_bytes(b"one")
+    assert content_hash(tmp_path, "recording") != content_hash(tmp_path / name, "recording")

@@ -11,7 +11,7 @@ from types import ModuleType
 
 from piegraph_cli.recording.end_effector import NAME, EndEffectorPath, read_end_effector
 from piegraph_cli.recording.film import Film
-from piegraph_cli.recording.folders import check_files, unreadable
+from piegraph_cli.recording.folders import check_files, fits, unreadable
 from piegraph_cli.recording.params import ReadParams
 
 
@@ -20,7 +20,8 @@ def read_films(folder: Path, layout: str, params: ReadParams = ReadParams()) -> 
 
     Raises `DataError` naming file and camera for what is missing or wrong.
     """
-    check_files(folder)
+    if fits(layout, folder):
+        check_files(folder)
     try:
         return _reader(layout).read(folder, params)
     except OSError as error:

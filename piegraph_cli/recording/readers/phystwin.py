@@ -169,7 +169,7 @@ class _Metadata:
                 raise DataError(f"fps is {rate:g}", str(self.path), "frames a second")
             return np.array(steps) / rate
         recording = self.fields["recording"]
-        of_camera = recording.get(camera) if isinstance(recording, dict) else None
+        of_camera: Any = recording.get(camera) if isinstance(recording, dict) else None
         times = []
         for step in steps:
             try:
@@ -197,6 +197,8 @@ def _poses(path: Path, count: int) -> list[np.ndarray]:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
+        if not path.is_file():
+            raise ValueError("no regular file")
         found = json.loads(path.read_text())
         if not isinstance(found, dict):
             raise ValueError("not an object")

@@ -1,14 +1,16 @@
 """The experiments: every one is whole and small with --quick, runs end to end, goes on, and gives the same table twice."""
 
 import json
+import os
 
 import numpy as np
 import pytest
 
 from piegraph_cli.dynamics.params import TrainParams
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.evaluation.statistics import bootstrap_grid
 from piegraph_cli.evaluation.tables import difference, sequence_means, summarise
+from piegraph_cli.experiments.measured import write_strokes
 from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.experiments.recipes import load_experiment, names, recipe_of, trial_recipe
 from piegraph_cli.planning.params import TrialsParams
@@ -176,3 +178,20 @@ def test_what_is_no_file_of_strokes_is_refused(tmp_path):
     np.savez(tmp_path / "other.npz", before=np.zeros((2, 3, 2)))
     done = piegraph("reproduce", "pushes", "--data", tmp_path / "other.npz", "--runs", tmp_path, check=3)
     assert "no array after" in done.stderr
+
+
+def test_strokes_are_those_of_the_file_that_is_given_now(tmp_path):
+    """Even if that file is older than what was made of another one, or has fewer."""
+    write_strokes(measured(tmp_path / "one.npz", strokes=4), tmp_path / "out")
+    kept = (tmp_path / "out" / "00000.npz").stat().st_mtime_ns
+    write_strokes(tmp_path / "one.npz", tmp_path / "out")
+    assert (tmp_path / "out" / "00000.npz").stat().st_mtime_ns == kept
+    other = measured(tmp_path / "two.npz", strokes=2, after=np.ones((2, 36, 2)))
+    os.utime(other, (1, 1))
+    write_strokes(other, tmp_path / "out")
+    files = sorted((tmp_path / "out").iterdir())
+    assert [file.name for file in files] == ["00000.npz", "00001.npz"]
+    with np.load(files[0]) as stroke:
+        assert (stroke["particles"][1, :, :2] == 1).all()
+    with pytest.raises(DataError, match="holds no stroke"):
+        write_strokes(measured(tmp_path / "none.npz", strokes=0), tmp_path / "out")

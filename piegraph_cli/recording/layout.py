@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.files import atomic_file
 from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.numbers import Number, by_number
@@ -319,8 +320,8 @@ def entry_of(camera: Camera) -> dict[str, Any]:
 
 def write_cameras(folder: Path, cameras: list[Camera]) -> None:
     """Write cameras.json."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "cameras.json").write_text(cameras_text(cameras))
+    with atomic_file(folder / "cameras.json") as temporary:
+        temporary.write_text(cameras_text(cameras))
 
 
 def write_frame(sequence: Path, camera: Camera, frame: int, color: np.ndarray, depth: np.ndarray, quality: int) -> None:

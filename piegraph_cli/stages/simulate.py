@@ -114,6 +114,7 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
     from piegraph_cli.environments.trouble import told_cameras
     from piegraph_cli.recording.layout import write_cameras
 
+    _check_out(out)
     load_hand()  # fetched once, before several processes would fetch it
     write_cameras(out, told_cameras(camera_rig(count=params.cameras), params.trouble))
     names = [f"sequence_{i:04d}" for i in range(params.sequences)]
@@ -122,6 +123,15 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
     )
     list(tqdm(work, total=len(names), desc="render", disable=None, leave=False))
     return names
+
+
+def _check_out(out: Path) -> None:
+    """Refuse a folder in which there is a sequence that was recorded: it would be replaced, and its cameras.json too."""
+    from piegraph_cli.recording.folders import entries_of
+
+    real = next((p for p in sorted(entries_of(out)) if p.is_dir() and not (p / "truth.h5").is_file()), None)
+    if real:
+        raise UsageError("holds what was not simulated", str(real), "render into a folder of its own: --out")
 
 
 def _record_sequence(folder: Path, params: RecordingParams, index: int, force: bool) -> None:

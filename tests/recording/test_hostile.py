@@ -7,12 +7,15 @@ import pickle
 import numpy as np
 import pytest
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.environments.params import SimulateParams
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.recording.layout import write_cameras
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.plain import load_numbers
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.sequence import read_sequence
 from piegraph_cli.stages.look import read_scene
+from piegraph_cli.stages.simulate import record_sequences
 from tests.recording.test_readers import phystwin, with_masks, write_gbnd, write_pgnd, write_phystwin, write_tum
 from tests.stages.make_recording import make_recording
 
@@ -165,3 +168,17 @@ def test_transposed_intrinsics_are_told(tmp_path, write, layout, change):
 def test_what_is_no_frame_number_is_a_folder_that_is_not_there(tmp_path, frame):
     with pytest.raises(DataError, match="no such folder"):
         read_scene(f"{write_ours(tmp_path)}:{frame}")
+
+
+def test_a_recording_is_not_rendered_over(tmp_path):
+    recording = make_recording(tmp_path / "rec")
+    before = (recording / "cameras.json").read_bytes()
+    with pytest.raises(UsageError, match="not simulated"):
+        record_sequences(recording, SimulateParams(environment="tblock", sequences=1), jobs=1, force=False)
+    assert (recording / "cameras.json").read_bytes() == before
+
+
+def test_cameras_that_cannot_be_written_are_told(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="cannot be written"):
+        write_cameras(tmp_path / "file" / "rec", [])

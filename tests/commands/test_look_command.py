@@ -114,7 +114,7 @@ def test_a_plan_may_be_written_elsewhere_and_then_leaves_the_run_alone(tiny_run,
     told = piegraph_json(*ask, "--out", tmp_path / "a b" / "plan.h5")
     assert told["plan"] == str(tmp_path / "a b" / "plan.h5")
     assert read_artifact(tmp_path / "a b" / "plan.h5", "plan").arrays["stroke"].shape == (1, 2, 2)
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    monkeypatch.setattr(os, "access", lambda path, mode, **how: mode != os.W_OK)
     unkept = piegraph(*ask)
     assert "cannot be written, so the answer is not kept" in unkept.stderr
     assert "push from" in unkept.stdout

@@ -37,6 +37,15 @@ Rehash = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object", show_default=False)]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        help="write the artifact (.h5) there, and nothing into the run",
+        rich_help_panel=RUNNING,
+        show_default=False,
+    ),
+]
 Settings = Annotated[list[str] | None, typer.Option("--set", help="STAGE.SETTING=VALUE, in place of the recipe's")]
 
 _RUNNING: dict[str, tuple[Any, Any]] = {
@@ -58,6 +67,8 @@ def stage_parameters(call: Call, options: dict[str, Option]) -> list[Parameter]:
         found.append(_parameter(call.instead.flag, Annotated[bool, flag], False))
     for name, option in ordered.items():
         found.append(_setting(name, option, None if name in call.first or not call.first else MORE))
+    if call.out:
+        found.append(_parameter("out", Out, None))
     return found + [_parameter(name, annotation, default) for name, (annotation, default) in _RUNNING.items()]
 
 

@@ -1,6 +1,9 @@
 """The commands of the stages, all of them made from the stages' records."""
 
 import logging
+import os
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from inspect import Signature
@@ -10,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli.commands.options import stage_parameters
 from piegraph_cli.commands.output import Report, emit, logging_to, summary, with_failures
 from piegraph_cli.errors import UsageError
+from piegraph_cli.files import atomic_file
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace.call import options_of
 from piegraph_cli.workspace.stage import Stage, load
@@ -42,6 +46,7 @@ def _command(stage: Stage) -> Callable[..., None]:
         from piegraph_cli.workspace.execute import Options
 
         given = {name: value for name, value in values.items() if value is not None}
+        out: Path | None = given.pop("out", None) if call.out else None
         if folder is None:
             assert call.folder.default is not None
             folder = call.folder.default(given)
@@ -54,8 +59,12 @@ def _command(stage: Stage) -> Callable[..., None]:
             return
         if stage.reads:
             require_run(folder)
+        how = Options(units, force, jobs, backend, device)  # type: ignore[arg-type]
+        if call.out and (out or not os.access(folder, os.W_OK)):
+            emit(_run_beside(stage, run, how, out), as_json)
+            return
         with logging_to(folder):
-            report = _run(stage, run, Options(units, force, jobs, backend, device))  # type: ignore[arg-type]
+            report = _run(stage, run, how)
         emit(report, as_json)
 
     command.__signature__ = Signature(stage_parameters(call, options))  # type: ignore[attr-defined]
@@ -76,6 +85,27 @@ def _run(stage: Stage, run: "Run", options: "Options") -> Report:
     if stage.call.remembers and _accepted(outcomes):
         run.save_recipe()
     return _report(stage, open_run(run.folder, run.recipe), outcomes, seconds)
+
+
+def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) -> Report:
+    """Run the stage in a folder that borrows what the run has: nothing is written into it. The artifact is kept in `out`."""
+    written = f"{stage.writes}.h5"
+    own = {written, "run.log", "failures.json", ".locks", ".known.json"}
+    with tempfile.TemporaryDirectory(prefix="piegraph-") as made:
+        folder = Path(made)
+        for entry in run.folder.resolve().iterdir():
+            if entry.name not in own:
+                (folder / entry.name).symlink_to(entry)
+        with logging_to(folder):
+            report = _run(stage, open_run(folder, run.recipe), options)
+            if out is None:
+                logging.getLogger("piegraph").warning("%s: cannot be written, so the answer is not kept", run.folder)
+        if out is not None and (folder / written).exists():
+            with atomic_file(out) as temporary:
+                shutil.copyfile(folder / written, temporary)
+    if stage.name in report.value:
+        report.value[stage.name] = str(out) if out else None
+    return report
 
 
 def _accepted(outcomes: "Sequence[Outcome]") -> bool:

@@ -24,7 +24,7 @@ def draw(params: ExperimentParams, results: Results) -> Iterator[tuple[str, Figu
     metrics = plain_metrics(params, results) if params.table != "search" else {}
     if metrics:
         yield "errors", error_grid(metrics)
-    if params.table == "interactions" and metrics:
+    if params.table == "interactions" and any(len(params.interactions[env]) > 1 for env in metrics):  # type: ignore[index]
         yield "interactions", interaction_figure(metrics)
     if results.trials and params.trials:
         trials, limits = plain_trials(params, results.trials), params.trials.thresholds

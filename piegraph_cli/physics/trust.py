@@ -1,7 +1,8 @@
 """How far off a track is expected to be, from what the cameras made of it: no truth is needed.
 
 Two things tell. A shape that is not where it should be lies badly in the cloud, normals and all. And where particles are
-hidden, nothing is known but that their springs hold while the object moves on.
+hidden, nothing is known but that their springs hold while the object moves on. One thing does not show: a sheet that slides
+within its own surface lies as well in its cloud as before, so that what it has moved counts against it.
 """
 
 import numpy as np
@@ -31,6 +32,12 @@ RIGID = 2e-4
 STIFF = 0.2
 """Share of the drift that is left there."""
 
+SHEET = 0.1
+"""An object is a sheet whose particles spread less than this across its two larger extents, as a share of the second."""
+
+SLIDE = 0.1
+"""Share of its path by which a particle of a sheet may have slid along it. From rendered cloths that were picked up."""
+
 
 def expected_error(positions: np.ndarray, weight: np.ndarray, misfit: np.ndarray, unknown: np.ndarray) -> np.ndarray:
     """Expected mean particle error [F] float32 (m) of tracked positions [F, N, 3] (m).
@@ -41,13 +48,23 @@ def expected_error(positions: np.ndarray, weight: np.ndarray, misfit: np.ndarray
     motion = np.zeros(len(positions))
     motion[1:] = np.median(np.linalg.norm(np.diff(positions, axis=0), axis=-1), axis=1)
     slack = np.where(_bent(positions) < RIGID, STIFF, 1.0)
+    slid = np.zeros(positions.shape[:2])
+    if _is_sheet(positions[0]):
+        slid[1:] = SLIDE * np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=-1), axis=0)
     drift = np.zeros(positions.shape[1])
     expected = np.zeros(len(positions))
     for frame, seen in enumerate(weight > 0):
         lately = np.minimum(drift + DRIFT * slack[frame] * motion[frame], UNKNOWN)
         drift = np.where(seen, FORGET * drift, lately)
         expected[frame] = LEAST + STRETCH * max(0.0, misfit[frame] - misfit[0]) + drift.mean()
+        expected[frame] += min(float(slid[frame].mean()), UNKNOWN)
     return np.where(unknown, UNKNOWN, expected).astype(np.float32)
+
+
+def _is_sheet(positions: np.ndarray) -> bool:
+    """Whether particles [N, 3] lie in a thin surface that extends two ways."""
+    extents = np.linalg.svd(positions - positions.mean(0), compute_uv=False)
+    return bool(len(extents) == 3 and extents[2] < SHEET * extents[1])
 
 
 def _bent(positions: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
-    goal: str | None = Field(None, description="goal cloud FILE or FILE:FRAME (.ply, .npz, .h5)")
+    goal: str | None = Field(None, description="goal cloud FILE[:FRAME] (.ply, .npz, .h5)")
     goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
     table: Table | None = Field(
         None,

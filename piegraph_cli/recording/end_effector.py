@@ -4,14 +4,13 @@ A table is `end_effector.csv` beside a sequence's cameras: time, x, y, z[, qx, q
 cameras' clock and metres in the world. Readers of layouts that hold such a path make an `EndEffectorPath` of it.
 """
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.points import check_size
+from piegraph_cli.recording.motion_csv import read_rows
 from piegraph_cli.recording.timing import FASTEST, SLOWEST, UNITS
 
 NAME = "end_effector.csv"
@@ -49,14 +48,7 @@ class EndEffectorPath:
 
 def read_end_effector(path: Path) -> EndEffectorPath:
     """The path in an `end_effector.csv`, checked. Raises `DataError` naming line and column."""
-    check_size(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"not a readable table: {error}", str(path), f"write {COLUMNS}") from None
-    while rows and not "".join(rows[-1]).strip():
-        rows.pop()
+    rows = read_rows(path, COLUMNS)
     if len(rows) < 3:
         raise DataError(
             f"has {max(len(rows) - 1, 0)} lines of numbers", str(path), f"write {COLUMNS}, then a line per time"

@@ -15,19 +15,25 @@ COLUMNS = "columns time, ee_x, ee_y, ee_z[, contact][, mode], p0_x, p0_y, p0_z, 
 _PARTICLE = re.compile(r"p(0|[1-9][0-9]*)_([xyz])")
 
 
-def read_csv(path: Path) -> dict[str, np.ndarray]:
-    """particles [T, N, 3], end_effector [T, 3], times [T], and contact and mode [T] where it has them.
-
-    Raises `DataError` naming the line and the column.
-    """
+def read_rows(path: Path, columns: str) -> list[list[str]]:
+    """The rows of a .csv without empty ones at its end. Raises `DataError`, which names the `columns` to write."""
     check_size(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file, strict=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"not a readable table: {error}", str(path), f"write {COLUMNS}") from None
+        raise DataError(f"not a readable table: {error}", str(path), f"write {columns}") from None
     while rows and not "".join(rows[-1]).strip():
         rows.pop()
+    return rows
+
+
+def read_csv(path: Path) -> dict[str, np.ndarray]:
+    """particles [T, N, 3], end_effector [T, 3], times [T], and contact and mode [T] where it has them.
+
+    Raises `DataError` naming the line and the column.
+    """
+    rows = read_rows(path, COLUMNS)
     if len(rows) < 2:
         raise DataError("has no line of numbers", str(path), f"write {COLUMNS}, then a line per frame")
     header = [name.strip() for name in rows[0]]

@@ -1,6 +1,5 @@
 """The robot's base from files: poses of the gripper beside images of the board it holds, and points that its tip touched."""
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +12,8 @@ from piegraph_cli.recording.boards import Board
 from piegraph_cli.recording.calibration import FEWEST_CORNERS, Sightings, board_pose
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.locate import find_board, write_cameras
+from piegraph_cli.recording.motion_csv import read_rows
 from piegraph_cli.recording.numbers import number_of
-from piegraph_cli.recording.points import check_size
 from piegraph_cli.recording.robot import POOR, REACH, Base, hand_eye, touched
 from piegraph_cli.recording.shots import Shots, read_shots
 
@@ -163,12 +162,7 @@ def _row(shots: Shots, name: str, where: str) -> int:
 
 def read_table(path: Path, columns: str) -> list[dict[str, str]]:
     """The lines of a .csv by the names in its first line. Raises `DataError` naming the line."""
-    check_size(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file, strict=True) if "".join(row).strip()]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"not a readable table: {error}", str(path), f"write {columns}") from None
+    rows = [row for row in read_rows(path, columns) if "".join(row).strip()]
     if len(rows) < 2:
         raise DataError("has no line below the names of its columns", str(path), f"write {columns}")
     header = [name.strip() for name in rows[0]]

@@ -123,9 +123,12 @@ STAGE = Stage(
 
 
 def sequence_folder(run: "Run", unit: str) -> Path:
-    """The folder of a sequence of a run's recordings. Raises `UsageError` where the run has none."""
-    recording, sequence = _places(run)[unit]
-    return recording / sequence
+    """The folder of a sequence of a run's recordings. Raises `UsageError` where the run has none, `DataError` if it is gone."""
+    place = _places(run).get(unit)
+    if place is None:
+        where = ", ".join(map(str, run.params(STAGE.name).recording))
+        raise DataError(f"there is no sequence {unit} any more", where, "put it back, or leave its results alone")
+    return place[0] / place[1]
 
 
 def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Output:

@@ -66,6 +66,7 @@ STAGE = Stage(
         first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
         remembers=False,  # each question stands for itself: an old goal must not move a robot
         describe="piegraph_cli.stages.plan:describe",
+        out=True,
     ),
 )
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.params import ScoreParams
 from piegraph_cli.stages import ingest
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
@@ -41,7 +42,10 @@ def read_truth(run: "Run", sequence: str) -> "Artifact | None":
     from piegraph_cli.recording.ground import level, moved
     from piegraph_cli.workspace.artifact import read_artifact
 
-    path = _truth_file(run, sequence)
+    try:
+        path = _truth_file(run, sequence)
+    except DataError:  # what is gone has no truth
+        return None
     if not path.is_file():
         return None
     truth, T = read_artifact(path, "truth"), level(run.params(ingest.STAGE.name).table)

@@ -71,19 +71,21 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         "positions": tracked.positions,
         "residual": tracked.residual,
         "visibility": tracked.weight,
-        "trust/doubt": tracked.doubt,
-        "trust/misfit": tracked.misfit,
         "mode": np.full(frames, mode_number(params.mode)),
         "end_effector": source["end_effector"],
         "contact": source["contact"],
         "time": source["time"],
     }
+    if params.association == "nearest":  # what slides along the surface lies as well in the cloud as what does not
+        told = f"residual {tracked.residual.mean() * 1000:.1f} mm; how far off is not known: particles slide"
+        return Output(arrays, f"{frames} frames, {told}", _lost(tracked))
+    arrays |= {"trust/doubt": tracked.doubt, "trust/misfit": tracked.misfit}
     quality = f"{frames} frames, expected error {tracked.doubt.mean() * 1000:.1f} mm"
-    return Output(arrays, quality, _warnings(tracked))
+    return Output(arrays, quality, _lost(tracked) + _doubts(tracked))
 
 
-def _warnings(tracked: "TrackResult") -> list[str]:
-    """What the user should know of a track: frames without a cloud, a lost object, and where to look."""
+def _lost(tracked: "TrackResult") -> list[str]:
+    """Words on frames without a cloud, and on a lost object."""
     warnings = []
     if tracked.held.any():
         first = int(tracked.held.argmax())
@@ -94,9 +96,12 @@ def _warnings(tracked: "TrackResult") -> list[str]:
         warnings.append(
             f"{tracked.lost.sum()} frames in which the object is not where it can be, first {first}: no examples{end}"
         )
-    if tracked.doubt.mean() > DOUBTFUL:
-        worst = int(tracked.doubt.argmax())
-        warnings.append(
-            f"expected error {tracked.doubt.mean() * 1000:.1f} mm: look at frame {worst} with `piegraph report`"
-        )
     return warnings
+
+
+def _doubts(tracked: "TrackResult") -> list[str]:
+    """A word on where to look, where much is in doubt."""
+    mean, worst = tracked.doubt.mean(), int(tracked.doubt.argmax())
+    if mean <= DOUBTFUL:
+        return []
+    return [f"expected error {mean * 1000:.1f} mm: look at frame {worst} with `piegraph report`"]

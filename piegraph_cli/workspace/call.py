@@ -72,6 +72,8 @@ class Call:
     counts: str = ""
     """A setting that counts what one unit has; then the command tells how many of it were made in a second."""
     instead: Instead | None = None
+    out: bool = False
+    """Whether its artifact, the run's only one, may be written elsewhere: the run is then read alone."""
 
 
 def options_of(params: type[Params]) -> dict[str, Option]:

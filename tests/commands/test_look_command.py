@@ -1,11 +1,13 @@
 """The command `look` on frames of a recording: what it prints and writes, and that `plan --state` takes it."""
 
+import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from piegraph_cli import load_model, look, look_settings, open_run, read_points, read_scene
+from piegraph_cli import load_model, look, look_settings, open_run, read_artifact, read_points, read_scene
 from tests.cli import SAMPLE
 from tests.commands.inside import piegraph, piegraph_json
 
@@ -97,3 +99,23 @@ def test_prompts_are_those_of_segment():
 )
 def test_what_cannot_be_looked_at_is_said(arguments, code, text):
     assert text in piegraph("look", *arguments, check=code).stderr
+
+
+def contents(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def test_a_plan_may_be_written_elsewhere_and_then_leaves_the_run_alone(tiny_run, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    np.savez(tmp_path / "now.npz", open_run(run).read("tracks", "sequence_0000")["positions"][0])
+    ask = ("plan", "--run", run, "--state", tmp_path / "now.npz", "--goal-pose", "0.1,0,0.3")
+    before = contents(run)
+    told = piegraph_json(*ask, "--out", tmp_path / "a b" / "plan.h5")
+    assert told["plan"] == str(tmp_path / "a b" / "plan.h5")
+    assert read_artifact(tmp_path / "a b" / "plan.h5", "plan").arrays["stroke"].shape == (1, 2, 2)
+    monkeypatch.setattr(os, "access", lambda path, mode, **how: mode != os.W_OK)
+    unkept = piegraph(*ask)
+    assert "cannot be written, so the answer is not kept" in unkept.stderr
+    assert "push from" in unkept.stdout
+    assert contents(run) == before

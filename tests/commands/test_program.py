@@ -180,4 +180,4 @@ def test_every_name_has_a_line():
     assert list(KINDS["models"]()) == list(MODELS)
     assert list(KINDS["environments"]()) == list(ENVIRONMENTS)
     assert list(KINDS["recipes"]()) == shipped()
-    assert list(KINDS["experiments"]()) == names()
+    assert sorted(KINDS["experiments"]()) == sorted([*names(), "troubles"])

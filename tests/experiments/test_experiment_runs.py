@@ -99,7 +99,7 @@ def test_recordings_are_rendered_first_and_have_runs_of_their_own(tmp_path, monk
     monkeypatch.setattr(of_results, "read_metrics", lambda run: (seen.append(run) or {}, []))
     read_results("small", params, tmp_path)
     assert seen[-1].folder == tmp_path / "tblock-recorded"
-    assert seen[-1].params("ingest").recording == (tmp_path / "recordings" / "tblock").resolve()
+    assert seen[-1].params("ingest").recording == ((tmp_path / "recordings" / "tblock").resolve(),)
 
 
 def test_failures_of_runs_and_trials_are_told(tmp_path):

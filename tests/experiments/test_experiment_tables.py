@@ -284,5 +284,5 @@ def test_every_setting_of_an_experiment_reaches_the_recipes_of_its_runs(tmp_path
 def test_recordings_are_ingested_and_tracked_as_the_hand_moves_the_object(environment, mode, tmp_path):
     recipe = recipe_of(experiment("guidance", interactions={environment: (6,)}), environment, tmp_path)
     assert "simulate" not in recipe.sections
-    assert recipe.params(STAGES["ingest"]).recording == tmp_path.resolve()
+    assert recipe.params(STAGES["ingest"]).recording == (tmp_path.resolve(),)
     assert recipe.params(STAGES["track"]).mode == mode

@@ -99,6 +99,19 @@ def test_another_thing_in_its_place_is_not_taken_for_it():
     assert found.doubt[3] < 0.005
 
 
+def test_a_sheet_may_slide_within_its_surface_and_a_block_may_not():
+    side = np.linspace(-0.1, 0.1, 6)
+    sheet = np.column_stack([np.stack(np.meshgrid(side, side), -1).reshape(-1, 2), np.full(36, 0.002)])
+    block = np.concatenate([sheet, sheet + np.array([0, 0, 0.05])])
+    moved = 0.02 * np.arange(6)[:, None, None] * np.array([1, 0, 0])
+    expected = [
+        expected_error(shape + moved, np.ones((6, len(shape))), np.full(6, 0.004), np.zeros(6, bool))
+        for shape in (sheet, block)
+    ]
+    np.testing.assert_allclose(expected[0], LEAST + 0.1 * 0.02 * np.arange(6), rtol=1e-4)
+    np.testing.assert_allclose(expected[1], LEAST, rtol=1e-4)
+
+
 def test_doubt_grows_where_hidden_particles_move_and_the_cloud_is_missed():
     positions = np.zeros((6, 4, 3)) + 0.01 * np.arange(6)[:, None, None] * [1, 0, 0]
     weight, usual, known = np.ones((6, 4)), np.full(6, 0.004), np.zeros(6, bool)

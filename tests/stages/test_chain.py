@@ -139,6 +139,7 @@ def test_metrics_and_plans_are_described(runs, run):
 )
 def test_a_plans_quality_counts_goals_and_strokes(ends, success, quality):
     arrays = {"end_distance": np.array(ends), "episode": np.array([0, 0, 1, 1, 1, 2]), "stroke": np.zeros((6, 2, 2))}
+    arrays["metric"] = np.array(["distance"] * 3)
     assert plan._quality(arrays, plan.PlanParams(env="tblock", success=success)) == quality
 
 
@@ -162,7 +163,9 @@ def test_a_plan_from_a_state_tells_where_it_would_end(run, tmp_path):
     np.testing.assert_array_equal(clouds[0].arrays["goal"], clouds[1].arrays["goal"])
     np.testing.assert_allclose(clouds[0].arrays["goal"][0], now + np.float32([0.1, 0, 0]))
     assert clouds[2].quality == "no stroke: 0.0 cm of particle distance from the goal already, success is 2 cm"
-    assert float(clouds[1].arrays["start_distance"][0]) != pytest.approx(0.1, rel=1e-2), "a cloud does not correspond"
+    assert float(clouds[1].arrays["start_distance"][0]) == pytest.approx(0.1, rel=1e-2), (
+        "the shape is found in the cloud"
+    )
     with pytest.raises(DataError) as caught:
         asked(goal_pose=(5, 0, 0))
     assert caught.value.where == f"{tmp_path}/now.npz, --goal-pose"

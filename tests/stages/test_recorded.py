@@ -14,7 +14,7 @@ from piegraph_cli.environments import rig
 from piegraph_cli.environments.params import RecordingParams, SimulateParams
 from piegraph_cli.errors import DataError, MissingError, UsageError
 from piegraph_cli.evaluation import truth
-from piegraph_cli.perception import clouds, hands, sam, sam_models, seeds, segmentation
+from piegraph_cli.perception import clouds, hands, object_masks, sam, sam_models, seeds, segmentation
 from piegraph_cli.perception.params import FuseParams, SegmentParams
 from piegraph_cli.recording.images import ImageStack, encode_masks
 from piegraph_cli.recording.layout import read_cameras, read_times
@@ -105,13 +105,15 @@ def stubs(scene):
         return (frame_of(scene, f) for f in range(FRAMES))
 
     def detect(images, times, model, hands):
-        """One hand; of the few images that are looked at for a second one nothing is noted."""
+        """One hand."""
         images = list(images)
         camera = scene.cameras[len(noted.detected) % 2]
-        if hands == 2:
-            return np.full((len(images), 2, 21, 2), np.nan), np.zeros((len(images), 2))
         noted.detected.append((images, times, str(model)))
         return np.stack([camera.project(joints)[0] for joints in scene.joints])[:, None], np.ones((FRAMES, 1))
+
+    def one_hand(images, model, hands):
+        count = len(list(images))
+        return np.full((count, hands, 21, 2), np.nan), np.zeros((count, hands))
 
     def find(color, depth, cameras, hand_px, workspace, params, tips):
         noted.found.append((color, depth, [c.name for c in cameras], hand_px, workspace, params))
@@ -129,7 +131,8 @@ def stubs(scene):
         patch.setattr(rig, "camera_rig", lambda count: scene.cameras)
         patch.setattr(hands_of_environments, "load_hand", lambda: "the hand")
         patch.setattr(hands, "detect_hands", detect)
-        patch.setattr(seeds, "find_object", find)
+        patch.setattr(hands, "find_hands", one_hand)
+        patch.setattr(object_masks, "find_object", find)
         patch.setattr(segmentation, "segment_sequence", masks)
         yield noted
 

@@ -38,7 +38,7 @@ def test_no_step_leaves_empty_columns():
 @pytest.mark.parametrize("radius", [0.01, 0.012])
 def test_plans_and_trials_say_where_their_pusher_is_not_the_environments(monkeypatch, radius):
     monkeypatch.setattr(steps, "open_environment", lambda *_: Block())
-    context = SimpleNamespace(progress=lambda numbers, _: numbers, device="cpu")
+    context = SimpleNamespace(progress=lambda numbers, _: numbers, device="cpu", run=None)
     params = PARAMS.model_copy(update={"env": "daxbench-rope", "pusher_radius": radius})
     trial = TrialParams(goal=0, seed=0, network=None, plan=params)
     for output in (plan.run({}, params, context), trials.run({}, trial, context)):

@@ -145,6 +145,7 @@ def frames(count: int = 2, cameras: int = 3) -> dict[str, np.ndarray]:
         "depth_offsets": np.arange(images + 1) * 2,
         "time": np.arange(count, dtype=float),
         "source_frame": np.zeros((count, cameras), np.int64),
+        "stamp": np.zeros((count, cameras)),
         "camera_name": np.array([b"a", b"b", b"c"], "S128")[:cameras],
         "image_size": np.ones((cameras, 2), np.int64),
         "K": np.zeros((cameras, 3, 3)),
@@ -307,5 +308,5 @@ def test_images_are_those_of_every_frame_and_camera(tmp_path):
         write_artifact(path, "frames", of, stage="s", stage_version=1, key="k", params={}, inputs={})
         assert len(read_artifact(path)["color_offsets"]) == count * cameras + 1
     with pytest.raises(DataError, match="6 images, expected 3 frames of 3 cameras"):
-        of = frames(2, 3) | {"time": np.arange(3.0), "source_frame": np.zeros((3, 3), int)}
+        of = frames(2, 3) | {"time": np.arange(3.0), "source_frame": np.zeros((3, 3), int), "stamp": np.zeros((3, 3))}
         write_artifact(path, "frames", of, stage="s", stage_version=1, key="k", params={}, inputs={})

@@ -22,6 +22,8 @@ log = logging.getLogger("piegraph")
 
 MAX_BYTES = 1 << 30
 """The largest file, and the most that all arrays of an .npz may unpack to."""
+FARTHEST = 1e6
+"""Metres beyond which a number is no place."""
 
 PER_FRAME = ("time", "mode", "contact", "end_effector", "residual", "visibility")
 PER_POINT = ("colors", "normals")
@@ -71,6 +73,9 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
         raise DataError(f"holds no finite points [P, 3] but an array {points.shape}", where, "give another file")
     finite = np.isfinite(points).all(1)
+    farthest = float(np.abs(points[finite]).max(initial=0))
+    if farthest > FARTHEST:
+        raise DataError(f"a point is {farthest:.1g} m from the origin", where, "give points in metres")
     if not finite.any():
         raise DataError(f"none of its {len(points)} points is finite", where, "give another file")
     if not finite.all():  # organised clouds have them where the camera saw nothing

@@ -12,6 +12,7 @@ from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.layout import write_cameras
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.plain import load_numbers
+from piegraph_cli.recording.points import read_points
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.sequence import read_sequence
 from piegraph_cli.stages.look import read_scene
@@ -182,3 +183,9 @@ def test_cameras_that_cannot_be_written_are_told(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot be written"):
         write_cameras(tmp_path / "file" / "rec", [])
+
+
+def test_a_cloud_of_impossible_places_is_refused(tmp_path):
+    np.savez(tmp_path / "goal.npz", points=np.array([[0, 0, 0], [0, 1e30, 0]]))
+    with pytest.raises(DataError, match=r"goal.npz, frame 0: a point is 1e\+30 m from the origin"):
+        read_points(tmp_path / "goal.npz", None, {})

@@ -106,9 +106,18 @@ def _report(source: str, scene: "Scene", seen: "Look", out: Path | None, picture
     if out is not None and not bad:
         write_points(out, seen.cloud, particles=seen.chosen)
     if out is not None:
-        lines.append("no cloud is written" if bad else f"cloud: {out}")
+        lines.append(_nothing_written(out) if bad else f"cloud: {out}")
     files = {"cloud": str(out) if out and not bad else None, "picture": str(picture) if picture else None}
     return Report({"source": source} | _as_object(seen) | files, lines, 3 if bad else 0)
+
+
+def _nothing_written(out: Path) -> str:
+    """Put a cloud of an earlier look aside, so that nobody takes it for that of this one; what to say."""
+    if not out.exists():
+        return "no cloud is written"
+    aside = out.with_name(f"{out.name}.earlier")
+    out.replace(aside)
+    return f"no cloud is written; that of an earlier look is now {aside}"
 
 
 def _as_object(seen: "Look") -> dict[str, Any]:

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from piegraph_cli.errors import DataError, PiegraphError
+from piegraph_cli.errors import DataError, InputError, PiegraphError
 from piegraph_cli.files import remove_leftovers
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
 from piegraph_cli.workspace.parallel import each
@@ -109,7 +109,9 @@ def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
     _log_outcomes(outcomes)
     if todo:
         try:
-            run.record_failures(stage, todo, {o.unit: o.error for o in outcomes if o.error})
+            # what was not made yet is no failure: once it is there, the same key is to be tried
+            failed = {o.unit: o.error for o in outcomes if o.error and not isinstance(o.error, InputError)}
+            run.record_failures(stage, todo, failed)
         except DataError as full:  # a full disk: the outcomes still count
             log.error("%s", full)
     for unit, why in left_out.items():

@@ -67,6 +67,10 @@ def test_a_bad_look_ends_with_3_and_writes_no_cloud(tmp_path):
     said = piegraph("look", source, "--out", out, "--accept", "cut")
     assert "accepted: cut" in said.stdout
     assert out.exists()
+    again = piegraph("look", source, "--out", out, check=3)
+    assert "that of an earlier look is now" in again.stdout
+    assert not out.exists()
+    assert (tmp_path / "now.ply.earlier").exists()
 
 
 def test_a_folder_of_single_frames_is_a_scene(tmp_path):

@@ -352,6 +352,7 @@ def test_inputs_that_are_not_fresh_are_refused_with_the_command_that_makes_them(
         open_toy(made).read("heap")
     (outcome,) = run_stage(change(made, "polish", shine=6.0), PILE, Options())
     assert isinstance(outcome.error, InputError)
+    assert not [place for place in open_toy(made).failures if place.startswith(PILE.name)], "it is tried again"
 
 
 def test_a_source_counts_by_its_content_and_may_be_gone_later(folder):

@@ -13,6 +13,9 @@ from piegraph_cli.physics.particles import Size, Sizes
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.checks import Check, Verdict, judged
 
+JUDGED = ("object", "points", "holes", "hidden", "cut", "candidates", "size")
+"""Checks of a look, beside those of geometry."""
+
 FEW = 2.0
 """Points of the cloud for each particle below which it is doubtful; below one it is bad."""
 HOLES = (0.4, 0.8)

@@ -4,18 +4,19 @@ import os
 import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from piegraph_cli.errors import DataError, InputError, UsageError
 from piegraph_cli.params import validated
+from piegraph_cli.perception.judgement import JUDGED
 from piegraph_cli.perception.look import LookSettings
 from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.recording.film import Film, Scene
 from piegraph_cli.recording.folders import layout_of, sequences_in
 from piegraph_cli.recording.images import decode_color
-from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.params import CheckName, ReadParams
 from piegraph_cli.recording.readers import read_films
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.stages import STAGES, open_run, sequences
@@ -49,6 +50,10 @@ def look_settings(
         if name not in USED:
             raise UsageError(f"a look has no settings of {name}", "look", f"it takes those of {', '.join(USED)}")
         recipe = recipe.with_values(STAGES[name], values, "look", Path.cwd())
+    unknown = sorted(set(accept) - {*JUDGED, *get_args(CheckName)})
+    if unknown:
+        known = ", ".join((*get_args(CheckName), *JUDGED))
+        raise UsageError(f"no check is called {unknown[0]}", "look, accept", f"one of {known}")
     ingest, of_segment, fuse, track = (recipe.params(STAGES[name]) for name in USED)
     particles: int = track.particles  # type: ignore[attr-defined]
     return LookSettings(ingest, of_segment, fuse, particles, sizes, tuple(accept))  # type: ignore[arg-type]

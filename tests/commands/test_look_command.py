@@ -66,6 +66,8 @@ def test_a_bad_look_ends_with_3_and_writes_no_cloud(tmp_path):
     assert not out.exists()
     said = piegraph("look", source, "--out", out, "--accept", "cut")
     assert "accepted: cut" in said.stdout
+    unknown = piegraph("look", source, "--out", out, "--accept", "cute", check=2)
+    assert "no check is called cute" in unknown.stderr
     assert out.exists()
     again = piegraph("look", source, "--out", out, check=3)
     assert "that of an earlier look is now" in again.stdout

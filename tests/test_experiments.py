@@ -195,3 +195,13 @@ def test_strokes_are_those_of_the_file_that_is_given_now(tmp_path):
         assert (stroke["particles"][1, :, :2] == 1).all()
     with pytest.raises(DataError, match="holds no stroke"):
         write_strokes(measured(tmp_path / "none.npz", strokes=0), tmp_path / "out")
+
+
+def test_troubles_show_what_was_made_and_make_nothing(tmp_path):
+    show = ("reproduce", "troubles", "--show", "--runs", tmp_path)
+    assert "no results yet" in piegraph(*show, check=3).stderr
+    assert not list(tmp_path.iterdir())
+    report = tmp_path / "troubles" / "report"
+    report.mkdir(parents=True)
+    (report / "troubles.txt").write_text("kind  right\n")
+    assert piegraph(*show).stdout == "kind  right\n"

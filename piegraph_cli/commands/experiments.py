@@ -9,6 +9,7 @@ import typer
 from piegraph_cli.commands import names
 from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs
 from piegraph_cli.commands.output import Report, emit, logging_to
+from piegraph_cli.errors import DataError
 
 if TYPE_CHECKING:
     from piegraph_cli.experiments.params import ExperimentParams
@@ -52,7 +53,8 @@ def reproduce(
 
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
-        return emit(_troubles(folder / "troubles", quick, set or (), envs, jobs), as_json)
+        place = folder / "troubles"
+        return emit(_told_before(place) if show else _troubles(place, quick, set or (), envs, jobs), as_json)
     chosen = _chosen(experiment, quick, set or (), envs, data)
     options = None if show else Options((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
@@ -64,6 +66,15 @@ def _together(reports: dict[str, Report]) -> Report:
     lines = [line for report in reports.values() for line in ("", *report.lines)]
     code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
     return Report({name: report.value for name, report in reports.items()}, lines[1:], code)
+
+
+def _told_before(folder: Path) -> Report:
+    """The table of troubles as it was made last."""
+    path = folder / "report" / "troubles.txt"
+    if not path.is_file():
+        raise DataError("no results yet", str(folder), "piegraph reproduce troubles")
+    lines = path.read_text().splitlines()
+    return Report({"table": lines}, lines)
 
 
 def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jobs: int) -> Report:

@@ -18,6 +18,7 @@ from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK
+from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
 
 JOINED = 0.95
 """Share of the points that an outline holds."""
@@ -150,17 +151,10 @@ def _joined(triangles: np.ndarray, count: int) -> bool:
     return bool(np.bincount(parts).max() >= JOINED * count)
 
 
-def planar_fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The motion (x, y (m), yaw) of the plane that brings points [N, 2] nearest to others in the same order."""
-    a, b = source - source.mean(0), target - target.mean(0)
-    yaw = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
-    return np.array([*(target.mean(0) - source.mean(0) @ _turn(yaw).T), yaw])
-
-
 def planar_residual(before: np.ndarray, after: np.ndarray) -> float:
     """How far (m, median) particles [S, N, 2] are after strokes from where a rigid motion would have brought them."""
     off = [
-        np.linalg.norm(b @ _turn(m[2]).T + m[:2] - a, axis=1).mean()
+        np.linalg.norm(moved_in_plane(b, m) - a, axis=1).mean()
         for b, a in zip(before, after, strict=True)
         for m in [planar_fit(b, a)]
     ]
@@ -176,17 +170,17 @@ def body_frame(rest: np.ndarray, shape: np.ndarray) -> np.ndarray:
     spacing = float(np.median(cKDTree(shape).query(shape, k=2)[0][:, 1]))
     if len(points) == len(shape):
         pose = planar_fit(shape, points)
-        if np.linalg.norm(shape @ _turn(pose[2]).T + pose[:2] - points, axis=1).mean() < MATCHED * spacing:
+        if np.linalg.norm(moved_in_plane(shape, pose) - points, axis=1).mean() < MATCHED * spacing:
             return pose
     tree = cKDTree(points)
     tries = []
     for yaw in np.arange(STARTS) * (2 * math.pi / STARTS):
-        pose = np.array([*(points.mean(0) - shape.mean(0) @ _turn(yaw).T), yaw])
+        pose = np.array([*(points.mean(0) - moved_in_plane(shape.mean(0), np.array([0.0, 0.0, yaw]))), yaw])
         for _ in range(20):
-            laid = shape @ _turn(pose[2]).T + pose[:2]
+            laid = moved_in_plane(shape, pose)
             source = np.concatenate([shape, shape[cKDTree(laid).query(points)[1]]])
             pose = planar_fit(source, np.concatenate([points[tree.query(laid)[1]], points]))
-        laid = shape @ _turn(pose[2]).T + pose[:2]
+        laid = moved_in_plane(shape, pose)
         tries.append((tree.query(laid)[0].mean() + cKDTree(laid).query(points)[0].mean(), pose))
     return min(tries, key=lambda entry: entry[0])[1]
 
@@ -211,11 +205,7 @@ def _carry(points: Tensor, before: Tensor, after: Tensor) -> Tensor:
 
 def _compose(motion: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """A pose after a motion of the plane."""
-    return np.array([*(pose[:2] @ _turn(motion[2]).T + motion[:2]), pose[2] + motion[2]])
-
-
-def _turn(yaw: float) -> np.ndarray:
-    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    return np.array([*moved_in_plane(pose[:2], motion), pose[2] + motion[2]])
 
 
 def _centred(rest: np.ndarray) -> np.ndarray:

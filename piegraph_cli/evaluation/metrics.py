@@ -1,7 +1,8 @@
 """Distances between predicted and true particles."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+
+from piegraph_cli.physics.particles import chamfer
 
 CENTIMETRE = 100.0
 
@@ -16,8 +17,7 @@ def particle_distance(predicted: np.ndarray, target: np.ndarray) -> float:
 
 def chamfer_distance(predicted: np.ndarray, target: np.ndarray) -> float:
     """Sum of the two mean nearest-point distances of clouds [N, 3], [M, 3] (m), in cm. Source: paper, Table I."""
-    there, back = cKDTree(target).query(predicted)[0], cKDTree(predicted).query(target)[0]
-    return float(there.mean() + back.mean()) * CENTIMETRE
+    return chamfer(predicted, target) * CENTIMETRE
 
 
 def shape_error(predicted: np.ndarray, target: np.ndarray, edges: np.ndarray) -> float:

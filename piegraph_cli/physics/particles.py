@@ -31,6 +31,12 @@ def choose_particles(cloud: np.ndarray, count: int) -> np.ndarray:
     return kept[farthest_point_sample(kept, count, int(middle))]
 
 
+def chamfer(one: np.ndarray, other: np.ndarray) -> float:
+    """Sum of the two mean nearest-point distances (m) of clouds [N, 3] and [M, 3] (m). Source: paper, Table I."""
+    there, back = cKDTree(other).query(one)[0], cKDTree(one).query(other)[0]
+    return float(there.mean() + back.mean())
+
+
 @dataclass(frozen=True)
 class Size:
     """How large an object is by its particles, metres."""

@@ -1,5 +1,8 @@
-"""Rigid motion between two sets of corresponding points (Kabsch), batched, in PyTorch."""
+"""Rigid motion between two sets of corresponding points (Kabsch), batched, in PyTorch; and in the plane."""
 
+import math
+
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -42,3 +45,16 @@ def rigid_projection(rest: Tensor, setpoint: Tensor) -> Tensor:
     rest = rest.expand_as(setpoint)
     rotation, translation = kabsch(rest, setpoint)
     return rest @ rotation.transpose(1, 2) + translation[:, None]
+
+
+def planar_fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The motion (x, y (m), yaw) of the plane that brings points [N, 2] nearest to others in the same order."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    yaw = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
+    return np.array([*(target.mean(0) - moved_in_plane(source.mean(0), np.array([0.0, 0.0, yaw]))), yaw])
+
+
+def moved_in_plane(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Points [..., 2] (m) turned about the origin by a motion's yaw (rad), then shifted by its x, y (m)."""
+    cosine, sine = math.cos(motion[2]), math.sin(motion[2])
+    return points @ np.array([[cosine, sine], [-sine, cosine]]) + motion[:2]

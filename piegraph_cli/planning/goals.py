@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from piegraph_cli.physics.association import align
+from piegraph_cli.physics.particles import chamfer
+from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
 
 GOAL_POINTS = 2_000
 """A goal cloud of more is thinned to these: what is planned does not depend on how densely a camera sees."""
@@ -20,8 +21,8 @@ SHARPENED = 4
 """Best places that are refined."""
 ROUNDS = 30
 """Of the refinement."""
-SAME_SHAPE, MARGIN = 1.5, 0.002
-"""Two clouds have one shape whose distance is below so many times that of the goal's own halves, and so many metres."""
+SAME_SHAPE, MARGIN = 1.5, 0.004
+"""Two clouds have one shape whose chamfer distance is below so many times that of the goal's own halves, and so many metres."""
 AS_GOOD = 1.15
 """A place counts beside the best one whose distance is below so many times its own, or than that of the goal's halves."""
 APART = 0.01
@@ -64,24 +65,22 @@ def thinned(points: np.ndarray, most: int) -> np.ndarray:
 
 def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.ndarray:
     """Points [N, 3] (m) turned by DYAW (rad) about their centre and moved by DX, DY (m)."""
-    dx, dy, yaw = motion
-    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     centre = points[:, :2].mean(0)
     moved = points.copy()
-    moved[:, :2] = (points[:, :2] - centre) @ rotation.T + centre + [dx, dy]
+    moved[:, :2] = moved_in_plane(points[:, :2] - centre, np.array(motion)) + centre
     return moved.astype(np.float32)
 
 
 def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray) -> np.ndarray:
     """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not."""
     half = np.random.default_rng(1).permutation(len(goal))
-    grain = _apart(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
+    grain = chamfer(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
     few, there = thinned(cloud, COARSE), thinned(goal, COARSE)
     tries = []
     for yaw in np.arange(YAWS) * (2 * np.pi / YAWS):
         turned = move_in_plane(few, (*(goal.mean(0) - few.mean(0))[:2], float(yaw)))
         tries.append(_laid(turned, there))
-    tries.sort(key=lambda rough: _apart(rough, there))
+    tries.sort(key=lambda rough: chamfer(rough, there))
     tries = _distinct(tries)[:SHARPENED]
     many, where = thinned(cloud, FINE), thinned(goal, FINE)
     found = []
@@ -89,7 +88,7 @@ def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray) -> np.nd
         sharp = _laid(_carried(few, rough, many), where, ROUNDS)
         # along a thin thing nearest points hardly pull: there the middles of whole clouds know better
         for placed in (sharp, sharp + (goal.mean(0) - _carried(many, sharp, cloud).mean(0))):
-            found.append((_apart(_carried(many, placed, cloud), goal), _carried(many, placed, particles)))
+            found.append((chamfer(_carried(many, placed, cloud), goal), _carried(many, placed, particles)))
     found.sort(key=lambda entry: entry[0])
     good = [
         placed
@@ -120,13 +119,6 @@ def _carried(source: np.ndarray, target: np.ndarray, points: np.ndarray) -> np.n
 
     What lies on a table turns about the vertical alone; a thin thing would also roll, which no cloud shows.
     """
-    x, y = (source - source.mean(0))[:, :2].T
-    u, v = (target - target.mean(0))[:, :2].T
-    yaw = float(np.arctan2((x * v - y * u).sum(), (x * u + y * v).sum()))
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    return ((points - source.mean(0)) @ turn.T + target.mean(0)).astype(np.float32)
-
-
-def _apart(one: np.ndarray, other: np.ndarray) -> float:
-    """The mean of the two mean nearest-point distances (m) of clouds [P, 3] and [Q, 3]."""
-    return float(cKDTree(one).query(other)[0].mean() + cKDTree(other).query(one)[0].mean()) / 2
+    pose = planar_fit(source[:, :2], target[:, :2])
+    lift = target[:, 2].mean() - source[:, 2].mean()
+    return np.column_stack([moved_in_plane(points[:, :2], pose), points[:, 2] + lift]).astype(np.float32)

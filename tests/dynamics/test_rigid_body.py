@@ -9,9 +9,10 @@ import torch
 
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.params import RigidParams
-from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame, outline_of, planar_fit
+from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame, outline_of
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.errors import DataError
+from piegraph_cli.physics.rigid import planar_fit
 
 SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
 EDGES = torch.as_tensor(np.hstack([SQUARE, np.roll(SQUARE, -1, 0)]), dtype=torch.float32)

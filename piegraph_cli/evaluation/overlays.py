@@ -37,8 +37,7 @@ def draw_things(image: np.ndarray, masks: Sequence[np.ndarray]) -> np.ndarray:
             outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
             drawn = np.ascontiguousarray(cv2.drawContours(drawn, outlines, -1, HAND_COLOR, 1))
         row, column = np.argwhere(mask).mean(axis=0).round().astype(int)
-        for color, width in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-            cv2.putText(drawn, str(number), (int(column), int(row)), cv2.FONT_HERSHEY_SIMPLEX, 0.7, color, width)
+        _write(drawn, str(number), int(column), int(row), 0.7)
     return drawn
 
 
@@ -70,11 +69,17 @@ def draw_particles(image: np.ndarray, positions: np.ndarray, camera: Camera, col
 
 def label(image: np.ndarray, text: str) -> np.ndarray:
     """An RGB image with a line of text in its upper left corner."""
+    _write(image, text, 6, 18, 0.5)
+    return image
+
+
+def _write(image: np.ndarray, text: str, x: int, y: int, size: float) -> None:
+    """White text with a black rim; the rim is the text beside itself, since thicker text is wider too."""
     import cv2
 
-    for color, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-        cv2.putText(image, text, (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, width, cv2.LINE_AA)
-    return image
+    rim = [(x + dx, y + dy, (0, 0, 0)) for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1))]
+    for column, row, color in [*rim, (x, y, (255, 255, 255))]:
+        cv2.putText(image, text, (column, row), cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)
 
 
 def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:

@@ -24,7 +24,7 @@ from piegraph_cli.workspace.run import Run
 SEQUENCES = 4
 """Pictures of single sequences are drawn of this many."""
 
-VERSION = 2
+VERSION = 3
 """Raised when pictures look different, so that they are drawn anew."""
 
 log = logging.getLogger("piegraph")

@@ -56,12 +56,13 @@ def draw_hand(image: np.ndarray, landmarks: np.ndarray, detected: bool) -> np.nd
 
 
 def draw_particles(image: np.ndarray, positions: np.ndarray, camera: Camera, colors: np.ndarray) -> np.ndarray:
-    """An RGB image with particles [N, 3] (m, world) projected into it, in colours uint8 [N, 3]."""
+    """An RGB image of a camera, also a smaller one, with particles [N, 3] (m, world) in colours uint8 [N, 3]."""
     import cv2
 
     pixels, depth = camera.project(positions)
+    pixels = pixels * (image.shape[1] / camera.width)
     for (x, y), z, color in zip(pixels, depth, colors.tolist(), strict=True):
-        if z > 0 and 0 <= x < camera.width and 0 <= y < camera.height:
+        if z > 0 and 0 <= x < image.shape[1] and 0 <= y < image.shape[0]:
             cv2.circle(image, (round(float(x)), round(float(y))), 4, (0, 0, 0), -1, cv2.LINE_AA)
             cv2.circle(image, (round(float(x)), round(float(y))), 3, color, -1, cv2.LINE_AA)
     return image
@@ -83,10 +84,12 @@ def _write(image: np.ndarray, text: str, x: int, y: int, size: float) -> None:
 
 
 def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
-    """Images laid out in rows, each in a field as large as the largest, white between them."""
+    """Images laid out in rows, each in a field as large as the largest; white between them, or nothing with opacity."""
     height, width = np.max([image.shape[:2] for row in rows for image in row], axis=0)
     columns = max(len(row) for row in rows)
-    sheet = np.full((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
+    channels = rows[0][0].shape[2]
+    size = (len(rows) * (height + gap) - gap, columns * (width + gap) - gap, channels)
+    sheet = np.full(size, 255 if channels == 3 else 0, np.uint8)
     for r, row in enumerate(rows):
         for c, image in enumerate(row):
             top, left = r * (height + gap), c * (width + gap)

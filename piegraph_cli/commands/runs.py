@@ -217,7 +217,10 @@ def _reported(run: Path) -> Report:
     from piegraph_cli.report.page import write_report
 
     written = write_report(run, lambda names: tqdm(names, desc="report", leave=False, disable=None, delay=1))
-    lines = [f"{of.part:10s} {of.word:8s} {of.figure}" for of in written.verdicts]
+    lines = [
+        f"{of.part:10s} {of.word:8s} {of.figure}" + (f": {of.command}" if of.word == "not yet" else "")
+        for of in written.verdicts
+    ]
     value = {"report": str(written.path), "verdicts": [asdict(of) for of in written.verdicts]}
     return Report(value | {"left_out": [asdict(gap) for gap in written.left_out]}, [*lines, str(written.path)])
 

@@ -35,7 +35,8 @@ class Found:
     """A run, looked over once."""
 
     run: Run
-    damaged: list[Gap] = field(default_factory=list)
+    damaged: dict[tuple[str, Unit], Gap] = field(default_factory=dict)
+    """By artifact and unit."""
 
     @cached_property
     def rows(self) -> dict[tuple[str, Unit], dict[str, Any]]:
@@ -75,14 +76,15 @@ class Found:
 
     def read(self, artifact: str, unit: Unit, only: Collection[str] | None = None) -> Artifact | None:
         """A fresh artifact, or None; one that is damaged is noted."""
-        if self.header(artifact, unit) is None:
+        if self.header(artifact, unit) is None or (artifact, unit) in self.damaged:
             return None
         try:
             return read_artifact(self.run.path(artifact, unit), artifact, only)
         except DataError as error:
             stage = self.run.maker(artifact)
             log.warning("left out of the report: %s", error)
-            self.damaged.append(Gap(stage.name, "damaged", [unit or "-"], str(error), self.command(stage, unit)))
+            again = f"piegraph {stage.name} {self.option} --force"
+            self.damaged[artifact, unit] = Gap(stage.name, "damaged", [unit or "-"], str(error), again)
             return None
 
     def command(self, stage: Stage, unit: Unit) -> str:
@@ -111,7 +113,9 @@ class Found:
                 failed.add((unit, why))
             slot = (name, row["state"], why, self.command(STAGES[name], unit))
             found.setdefault(slot, []).append(unit or "-")
-        return [Gap(name, state, units, why, how) for (name, state, why, how), units in found.items()] + self.damaged
+        return [Gap(name, state, units, why, how) for (name, state, why, how), units in found.items()] + [
+            *self.damaged.values()
+        ]
 
     @cached_property
     def plan(self) -> tuple[Artifact | None, str]:

@@ -1,5 +1,6 @@
 """Verdicts on what a run was made for: how well its model predicts, what its plan reached, what its trials reached."""
 
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,9 +31,9 @@ def model_verdict(found: Found, metrics: Metrics) -> Verdict:
     main = main_model(found, list(metrics))
     if main is None:
         waiting = next(iter(found.units("evaluate", "stale", "missing", "failed")), None)
-        reason = found.rows.get(("evaluate", waiting), {})
-        figure = reason.get("failure") or reason.get("reason") or "not made yet"
-        return Verdict("model", "not yet", figure.splitlines()[0], command=found.command(STAGES["evaluate"], waiting))
+        row = found.rows.get(("evaluate", waiting), {})
+        why = row.get("failure") or (f"out of date: {row['reason']}" if row.get("reason") else "not made yet")
+        return Verdict("model", "not yet", why.splitlines()[0], command=found.command(STAGES["evaluate"], waiting))
     horizons = sorted({int(h) for one in metrics[main] for h in one["horizon"]})
     first = horizons[0]
     ours = float(sequence_means(metrics[main], "pd", first).mean())
@@ -72,7 +73,7 @@ def _word_of_gains(gains: dict[int, tuple[float, float, float]]) -> tuple[Word, 
 def plan_verdict(found: Found) -> Verdict:
     """What the plan reached."""
     plan, why = found.plan
-    command = f"piegraph plan {found.option} --env tblock"
+    command = _example(found)
     if plan is None:
         asked = found.has("plan")
         if asked:
@@ -86,6 +87,14 @@ def plan_verdict(found: Found) -> Verdict:
         [] if word == "good" else ["look at the strokes: a goal that is too far, a blocked way, or a model that is off"]
     )
     return Verdict("plan", "check" if said and word == "good" else word, figure, [*said, *todo], "", "plan")
+
+
+def _example(found: Found) -> str:
+    """A plan that this run could make: in its own simulation, or from where an object was tracked."""
+    if found.has("simulate"):
+        return f"piegraph plan {found.option} --env {found.run.params('simulate').environment}"
+    state = shlex.quote(str(found.run.path("tracks", next(iter(found.sequences), "SEQUENCE"))))
+    return f"piegraph plan {found.option} --state {state} --goal-pose 0.1,0,0.5"
 
 
 def _reached(plan: Artifact) -> tuple[Word, str]:

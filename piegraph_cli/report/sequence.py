@@ -21,6 +21,7 @@ FRAMES = (
     *("image_size", "K", "distortion", "depth_scale", "T_world_camera"),
 )
 """What pictures need of a frames artifact: all but depth."""
+HAND = np.array([overlays.HAND_COLOR], np.uint8)
 TOP_SIZE = 300
 """Pixels of a view from above."""
 BYTES_A_PIXEL = 0.05
@@ -74,8 +75,8 @@ def draw_sequence(seen: Seen, share: int, mark: str) -> list[Picture]:
             continue
         drawn = [*_images(seen, level), *_views(seen, level), *_plot(seen, level, mark)]
         if sum(picture.bytes for picture in drawn) * 3 / 4 <= share:
-            break
-    return drawn
+            return drawn
+    return drawn[:1]
 
 
 def _images(seen: Seen, level: Level) -> Iterator[Picture]:
@@ -128,7 +129,10 @@ class Painter:
             mask = self.mask.mask(f, c).astype(np.uint8)
             image = overlays.draw_mask(image, cv2.resize(mask, image.shape[1::-1], interpolation=cv2.INTER_AREA) > 0)
         if self.hands is not None:
-            image = overlays.draw_hand(image, self.hands["landmarks"][f, c] * scale, bool(self.hands["seen"][f, c]))
+            landmarks, tip = self.hands["landmarks"][f, c] * scale, self.hands["end_effector"][f]
+            image = overlays.draw_hand(image, landmarks, bool(self.hands["seen"][f, c]))
+            if not np.isfinite(self.hands["landmarks"][f]).any() and np.isfinite(tip).all():  # a tool has a tip alone
+                image = overlays.draw_particles(image, tip[None], self.cameras[c], HAND)
         if self.tracks is not None and f < len(self.tracks["positions"]):
             image = overlays.draw_particles(image, self.tracks["positions"][f], self.cameras[c], self.colors)
         return image

@@ -40,9 +40,11 @@ def part_verdict(found: Found, part: str, stage: str, of: Mapping[str, Part]) ->
     if word == "bad" and len(failed) < MANY * len(of):
         word = "check"
     figure = FIGURES[part](found, there) if there else "none could be made"
+    if failed and len(failed) < len(of):
+        figure += f"; {len(failed)} of {len(of)} bad"
     if waiting:
         word, figure = worst([word, "check"]), f"{figure}; {len(waiting)} of {len(of)} sequences have none yet"
-    said = [f"{name}: {text}" for name, one in of.items() for text in one.todo]
+    said = [text if name in text else f"{name}: {text}" for name, one in of.items() for text in one.todo]
     more = [f"and {len(said) - FEW} more, at the sequences"] if len(said) > FEW else []
     return Verdict(part, word, figure, said[:FEW] + more, command, "sequences")
 
@@ -59,11 +61,11 @@ def _of_recording(found: Found, there: Mapping[str, Part]) -> str:
 
 
 def _of_hands(found: Found, there: Mapping[str, Part]) -> str:
-    return f"a hand in {_mean(there):.0%} of the frames{_least(there)}"
+    return f"hand or tool in {_mean(there):.0%} of the frames{_least(there)}"
 
 
 def _of_masks(found: Found, there: Mapping[str, Part]) -> str:
-    return f"the object in {_mean(there):.0%} of the frames{_least(there)}"
+    return f"object in {_mean(there):.0%} of the frames{_least(there)}"
 
 
 def _of_tracks(found: Found, there: Mapping[str, Part]) -> str:

@@ -1,5 +1,12 @@
 """The errors a user can cause or mend, each with the exit code the command line ends with."""
 
+import shlex
+
+
+def command_line(*words: object) -> str:
+    """A command of piegraph, to be pasted into a shell: what has spaces is quoted."""
+    return shlex.join(["piegraph", *map(str, words)])
+
 
 class PiegraphError(Exception):
     """What went wrong, where (file, sequence, frame, camera), and what to try next.

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from piegraph_cli import __version__
-from piegraph_cli.commands import experiments, look, record, runs, tools
+from piegraph_cli.commands import experiments, look, record, runs, survey, tools
 from piegraph_cli.commands.answer import answering, error_object, wants_json
 from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.stages import stage_commands
@@ -19,7 +19,7 @@ from piegraph_cli.errors import PiegraphError, UsageError
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
-    "Runs": {"run": runs.run, "status": runs.status, "clean": runs.clean, "report": runs.report, "view": runs.view},
+    "Runs": {"run": runs.run, "status": survey.status, "clean": survey.clean, "report": runs.report, "view": runs.view},
     "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {

@@ -75,6 +75,8 @@ class Status(Result):
     stages: list[StageCounts]
     bytes: int
     artifacts: list[Artifact]
+    next: list[str]
+    """What to do next, the first best: commands, or what mends the first failure."""
 
 
 class Waste(Result):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.evaluation import figures, overlays, trial_figures
 from piegraph_cli.evaluation.tables import score_values, summarise
 from piegraph_cli.evaluation.trials import compare_trials
@@ -50,7 +50,7 @@ def draw_report(folder: Path) -> list[Path]:
             }
     files = [out / name for entry in index.values() for name in entry["files"]]
     if not files:
-        raise DataError("nothing to draw yet", str(folder), f"piegraph run RECIPE --run {folder}")
+        raise DataError("nothing to draw yet", str(folder), command_line("run", "RECIPE", "--run", folder))
     with atomic_file(out / "index.json") as temporary:
         temporary.write_text(json.dumps(index, indent=1))
     return files

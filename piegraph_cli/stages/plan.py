@@ -3,10 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.errors import DataError, UsageError, command_line
 from piegraph_cli.params import mode_word
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.stages import train
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
@@ -96,7 +97,7 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
             return _given_goal(params, state) or Goal.of_particles(sample())
 
         environment = open_environment(params, model)
-        numbers = context.progress(range(params.episodes), "plan")
+        numbers = context.progress(range(params.episodes), "episodes")
         episodes = [play(environment, trained, params, wanted, start=i, goal=i, device=model.device) for i in numbers]
         warnings = tool_warnings(params, tool_of(environment))
     arrays = _arrays(episodes, params)
@@ -130,7 +131,7 @@ def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str
     try:
         seen.require()
     except DataError as error:
-        hint = f"piegraph look {params.state} --run {run} --picture now.png shows it; {error.hint}"
+        hint = f"{command_line('look', params.state, '--run', run, '--picture', 'now.png')} shows it; {error.hint}"
         raise DataError(error.message, str(params.state), hint) from None
     return seen.cloud, [f"{params.state}: {finding.text}" for finding in seen.findings]
 
@@ -207,7 +208,7 @@ def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
         start = arrays["start_distance"][0] * 100
         return f"no stroke: {start:.1f} cm of {of} from the goal already, success is {params.success * 100:g} cm"
     if params.state is not None:
-        return f"{len(arrays['stroke'])} strokes, predicted {of} {arrays['cost'][-1] * 100:.1f} cm"
+        return f"{counted(len(arrays['stroke']), 'stroke')}, predicted {of} {arrays['cost'][-1] * 100:.1f} cm"
     solved = arrays["end_distance"] < params.success
     counts = [int((arrays["episode"] == i).sum()) for i in np.flatnonzero(solved)]
     mean = f", {np.mean(counts):.1f} strokes each" if counts else ""

@@ -37,7 +37,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     hand_px, tips = hands["landmarks"].astype(np.float64), hands["end_effector"].astype(np.float64)
     given = color, depth, cameras, hand_px, workspace_of(frames), params, tips
     seed = seed_object(*given)
-    masks = follow_object(*given, seed, lambda of, each: map(of, context.progress(each, "segment", len(cameras))))
+    masks = follow_object(*given, seed, progress=context.counting(len(cameras) * count, "images"))
     area = np.stack([m.sum((1, 2)) for m in masks], 1)
     data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
     found = (area > 0).any(1).mean()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.errors import DataError, MissingError, UsageError, command_line
 from piegraph_cli.evaluation.figures import particle_colors
 from piegraph_cli.stages import open_run, sequences
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
@@ -24,7 +24,9 @@ def serve(folder: Path, sequence: str | None, port: int) -> None:
         raise UsageError(f"no sequence {name}", str(folder), f"one of {', '.join(names)}")
     shown = [read_artifact(p, a) for a in ("clouds", "tracks") if (p := run.path(a, name)).exists()]
     if not shown:
-        raise DataError("no clouds or tracks to show", str(folder), f"piegraph run --run {folder} --until track")
+        raise DataError(
+            "no clouds or tracks to show", str(folder), command_line("run", "--run", folder, "--until", "track")
+        )
     server = viser.ViserServer(host="127.0.0.1", port=port)
     server.scene.set_up_direction("+z")
     server.scene.add_grid("/table", width=1.0, height=1.0, cell_size=0.1)

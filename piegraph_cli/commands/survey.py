@@ -64,12 +64,23 @@ def _next(run: "Run", rows: list[dict[str, Any]]) -> list[str]:
     found = []
     if failure is not None:
         hint = failure["failure"].partition("\n  try: ")[2]
-        again = command_line(failure["stage"], "--run", run.folder)
+        again = _making(run, failure["stage"])
         found.append(f"{hint}, then {again}" if hint and not hint.startswith("piegraph") else hint or again)
     if to_make:
-        found.append(command_line(to_make[0], "--run", run.folder))
+        found.append(_making(run, to_make[0]))
         found += [command_line("run", "--run", run.folder)] if len(to_make) > 1 else []
     return found or [command_line(name, "--run", run.folder) for name in ("report", "view")]
+
+
+def _making(run: "Run", stage: str) -> str:
+    """The command that makes what a stage lacks, with the settings that the run has."""
+    call = STAGES[stage].call
+    alone = not call.argument and call.folder.option == "run"
+    return (
+        command_line(stage, "--run", run.folder)
+        if alone
+        else command_line("run", "--run", run.folder, "--until", stage)
+    )
 
 
 def grouped(rows: list[dict[str, Any]], why: str) -> Table:

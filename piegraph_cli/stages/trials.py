@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.run import Run
 
 _QUESTION = {
-    *("env", "state", "goal", "goal_pose", "table", "frame", "cameras"),
+    *("env", "state", "goal", "goal_pose", "goal_at", "table", "frame", "cameras"),
     *("model", "strokes", "success", "episodes", "seed"),
 }
 """Settings of `plan` that the grid gives."""

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 BENT = 0.005
 """Metres from a rigid motion above which the user of `rigid` is warned."""
 
+STATES = 400
+"""States of the object that tell how large it is, at most."""
+
 RECORDS = 20
 """Losses are noted this many times in a training."""
 
@@ -141,7 +144,7 @@ STAGE = Stage(
     ("dataset",),
     "model",
     TrainParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.train:run",
     unit="model",
     units=_units,
@@ -175,11 +178,7 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     assert learner is not None
     data = read_sequences(inputs["dataset"], TRAIN, count, params.seed)
     network = make_network(name, params.settings, data.picks, params.seed)
-    about = {
-        "particles": np.array(data.positions.shape[1]),
-        "modes": np.unique(data.mode),
-        "pace": np.array(data.pace),
-    }
+    about = _about(data)
     if isinstance(network, RigidBody):
         return _fit_body(network, data, about)
     assert isinstance(params.settings, LearningParams)
@@ -196,6 +195,21 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     if not math.isnan(trainer.best_loss) and validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
     return Output(arrays | about, quality)
+
+
+def _about(data: "Sequences") -> dict[str, Any]:
+    """What every model keeps of the object and the strokes that it has learned from."""
+    import numpy as np
+
+    from piegraph_cli.physics.particles import Sizes
+
+    return {
+        "particles": np.array(data.positions.shape[1]),
+        "modes": np.unique(data.mode),
+        "pace": np.array(data.pace),
+        "rest": data.rest[0],
+        "size": Sizes.of(data.at_rest(STATES)).array(),
+    }
 
 
 def _fit_body(body: "RigidBody", data: "Sequences", about: dict[str, Any]) -> Output:

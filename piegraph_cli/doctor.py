@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from piegraph_cli.weights import WEIGHTS, cache_folder
 
-NEEDED = ("torch", "warp", "segment_anything", "open3d", "mediapipe", "cv2", "h5py", "scipy", "matplotlib")
+NEEDED = ("torch", "warp", "segment_anything", "open3d", "mediapipe", "cv2", "h5py", "scipy", "matplotlib", "jinja2")
 OPTIONAL = {
     **dict.fromkeys(("pymunk", "mujoco", "gymnasium", "trimesh", "embreex", "skimage"), "sim"),
     "rosbags": "ros",

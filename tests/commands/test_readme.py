@@ -62,7 +62,7 @@ def test_from_a_recording_to_pictures_stage_by_stage(sample_run, tmp_path):
     found = done["evaluate"]
     assert {row["model"] for row in found["rows"]} == {"static", "piegraph-ng", "piegraph", "kabsch"}
     assert (found["scores"], found["missing"]) == ([], [])
-    assert any("training" in picture for picture in done["report"]["pictures"])
+    assert {"tracks", "model"} <= {verdict["part"] for verdict in done["report"]["verdicts"]}
     text = (folder / "recipe.toml").read_text()
     assert "[ingest]" in text
     assert "train = 3" in text

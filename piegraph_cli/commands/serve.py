@@ -78,3 +78,13 @@ def _check(run: Path | None, model: str | None, stdio: bool, recording: Path | N
         raise UsageError("nothing to serve", "piegraph serve", "--run RUN, or --model FILE")
     if live and recording is None:
         raise UsageError("--live needs the cameras' calibration", "piegraph serve", "--recording RECORDING")
+
+
+@contextlib.contextmanager
+def _service(
+    run: Path | None, model: str | None, recording: Path | None, live: bool, device: str
+) -> "Iterator[Service]":
+    from piegraph_cli.service.setup import opened_service
+
+    with opened_service(run, model, recording, live, device) as service:
+        yield service

@@ -45,7 +45,6 @@ MOST_WORK = 100_000
 """Candidates that one plan may look at: samples x iterations x strokes ahead, some seconds of search."""
 HERE = {*PlanParams.query, "model", "cameras", "episodes", "daxbench_python", "daxbench_repo"}
 """Settings of a plan that a request does not choose: what it asks has fields of its own, and files are the server's."""
-"""Of a search, in its service."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,8 @@ class Service:
 
     model: Model
     origin: Origin = Origin()
-    robot: np.ndarray | None = None
-    """`T_world_robot` [4, 4], where it is known."""
+    robot: Callable[[], np.ndarray] = lambda: np.eye(4)
+    """Gives `T_world_robot` [4, 4], or raises where it is not known."""
     eye: Eye | None = None
     _seen: tuple[Any, str] = field(default=(None, ""), repr=False)
 
@@ -194,7 +193,6 @@ class Service:
             "device": self.model.device,
             "settings": self.model.settings.model_dump(mode="json", exclude=HERE),
             "look": self.eye.what if self.eye else None,
-            "robot": self.robot is not None,
             "commands": list(REQUESTS),
             "limits": {
                 "bytes": MOST_BYTES,

@@ -8,6 +8,8 @@ class PiegraphError(Exception):
     """
 
     exit_code = 1
+    kind = "bug"
+    """The exit code in a word."""
 
     def __init__(self, message: str, where: str = "", hint: str = ""):
         super().__init__(message)
@@ -25,19 +27,24 @@ class UsageError(PiegraphError):
     """A wrong command, option, parameter or recipe."""
 
     exit_code = 2
+    kind = "usage"
 
 
 class DataError(PiegraphError):
     """A recording, artifact, goal or other input that is missing, broken or unusable."""
 
     exit_code = 3
+    kind = "data"
 
 
 class InputError(DataError):
     """What a stage reads was not made yet."""
+
+    kind = "input"
 
 
 class MissingError(PiegraphError):
     """A package, weight file or device that this machine lacks."""
 
     exit_code = 4
+    kind = "missing"

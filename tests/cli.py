@@ -43,5 +43,5 @@ def _server() -> subprocess.Popen:
 
 
 def piegraph_json(*arguments: object) -> dict:
-    """The JSON object a command prints with --json."""
-    return json.loads(piegraph(*arguments, "--json").stdout)
+    """The result that a command prints with --json."""
+    return json.loads(piegraph(*arguments, "--json").stdout)["result"]

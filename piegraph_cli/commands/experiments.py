@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piegraph_cli.commands import names
+from piegraph_cli.commands.answer import error_object
 from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs
 from piegraph_cli.commands.output import Report, emit, logging_to
 from piegraph_cli.errors import DataError
@@ -64,8 +65,9 @@ def reproduce(
 def _together(reports: dict[str, Report]) -> Report:
     """The reports of experiments, one after the other."""
     lines = [line for report in reports.values() for line in ("", *report.lines)]
-    code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
-    return Report({name: report.value for name, report in reports.items()}, lines[1:], code)
+    value = {name: report.value for name, report in reports.items()}
+    error = next((report.error for report in reports.values() if report.error), None)
+    return Report(value, lines[1:], error.exit_code if error else 0, error)
 
 
 def _told_before(folder: Path) -> Report:
@@ -111,5 +113,6 @@ def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Op
     with logging_to(folder):
         failed = run_experiment(name, params, folder, options) if options else []
         value, text, pictures = write_report(name, params, folder)
-    value |= {"pictures": [str(p) for p in pictures], "failed": [str(e) for e in failed]}
-    return Report(value, [*text, "", *map(str, pictures)], failed[0].exit_code if failed else 0)
+    value |= {"pictures": [str(p) for p in pictures], "failed": [error_object(e) for e in failed]}
+    error = failed[0] if failed else None
+    return Report(value, [*text, "", *map(str, pictures)], error.exit_code if error else 0, error)

@@ -7,7 +7,7 @@ import typer
 
 from piegraph_cli.commands.options import AsJson, Settings
 from piegraph_cli.commands.output import Report, emit
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import split_commas
 from piegraph_cli.recording.params import LAYOUT_HELP
 
@@ -108,7 +108,23 @@ def _report(source: str, scene: "Scene", seen: "Look", out: Path | None, picture
     if out is not None:
         lines.append(_nothing_written(out) if bad else f"cloud: {out}")
     files = {"cloud": str(out) if out and not bad else None, "picture": str(picture) if picture else None}
-    return Report({"source": source} | _as_object(seen) | files, lines, 3 if bad else 0)
+    value, doubts = {"source": source} | _as_object(seen) | files, _doubts(seen)
+    return Report(value, lines, 3 if bad else 0, _bad(source, seen), doubts)
+
+
+def _bad(source: str, seen: "Look") -> DataError | None:
+    """What makes a look useless."""
+    try:
+        seen.require()
+    except DataError as error:
+        return DataError(error.message, source, error.hint)
+    return None
+
+
+def _doubts(seen: "Look") -> list[str]:
+    """What was found beside that."""
+    found = [f for f in seen.findings if f.name in seen.accepted or f.checks[0].verdict != "bad"]
+    return [f"{f.name}: {f.text}" for f in found]
 
 
 def _nothing_written(out: Path) -> str:

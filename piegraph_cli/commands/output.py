@@ -1,16 +1,18 @@
-"""What commands print: the result on stdout, as lines or as one JSON object; the log on stderr and in the run folder."""
+"""What commands tell: the result on stdout, as lines or in the envelope of `--json`; the log in the run folder."""
 
 import contextlib
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from piegraph_cli import __version__
+from piegraph_cli.commands.answer import answer, error_object
+from piegraph_cli.errors import DataError, MissingError, PiegraphError, UsageError
 from piegraph_cli.stages import STAGES
 
 if TYPE_CHECKING:
@@ -22,23 +24,33 @@ FEW = 8
 
 @dataclass(frozen=True)
 class Report:
-    """What a command prints: an object for `--json`, lines for people, and the exit code."""
+    """What a command tells: the `result` of `--json`, lines for people, and the exit code."""
 
-    value: dict[str, Any]
+    value: dict[str, Any] | None
     lines: list[str]
     exit_code: int = 0
+    error: PiegraphError | None = None
+    """Why the exit code is not 0; by default the lines say it."""
+    warnings: list[str] = field(default_factory=list)
+    """Those among the lines; what is logged comes by itself."""
 
 
 def emit(report: Report, as_json: bool) -> None:
-    """Print a report, and end with its exit code."""
+    """Print a report, or keep it for the envelope, and end with its exit code."""
     if as_json:
-        from piegraph_cli.evaluation.tables import as_json as text_of
-
-        print(text_of(report.value))
+        answer().result = report.value
+        answer().warnings += report.warnings
+        answer().error = error_object(_why(report)) if report.exit_code else None
     else:
         print("\n".join(report.lines))
     if report.exit_code:
         raise typer.Exit(report.exit_code)
+
+
+def _why(report: Report) -> PiegraphError:
+    """Why a command did not end with 0."""
+    kinds = {kind.exit_code: kind for kind in (UsageError, DataError, MissingError)}
+    return report.error or kinds.get(report.exit_code, PiegraphError)("\n".join(report.lines[-1:]))
 
 
 def summary(outcomes: "Sequence[Outcome]", folder: Path) -> Report:
@@ -58,9 +70,9 @@ def summary(outcomes: "Sequence[Outcome]", folder: Path) -> Report:
         lines.append("failed: " + ", ".join(f"{o.stage} {o.unit}" if o.unit else o.stage for o in failed))
     value = {
         "run": str(folder),
-        "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes],
+        "outcomes": [asdict(o) | {"error": error_object(o.error) if o.error else None} for o in outcomes],
     }
-    return Report(value, lines or ["nothing to do"], exit_code(outcomes))
+    return _ended(value, lines or ["nothing to do"], outcomes)
 
 
 def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[Outcome]") -> Report:
@@ -80,19 +92,20 @@ def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[O
     if failed:
         lines.append(f"failed: {', '.join(str(o.unit) for o in failed)}")
 
-    def row(o: "Outcome") -> dict[str, str | None]:
-        return {STAGES[o.stage].unit: o.unit, "error": str(o.error)}
+    def row(o: "Outcome") -> dict[str, Any]:
+        return {STAGES[o.stage].unit: o.unit, "error": error_object(o.error) if o.error else None}
 
     value = value | {
         "missing": [row(o) | {"command": error.hint} for o, error in missing],
         "failed": [row(o) for o in failed],
     }
-    return Report(value, lines, exit_code(outcomes))
+    return _ended(value, lines, outcomes)
 
 
-def exit_code(outcomes: "Sequence[Outcome]") -> int:
-    """That of the first failure; 0 where nothing failed."""
-    return next((o.error.exit_code for o in outcomes if o.error), 0)
+def _ended(value: dict[str, Any], lines: list[str], outcomes: "Sequence[Outcome]") -> Report:
+    """A report that ends as the first failure says."""
+    error = next((o.error for o in outcomes if o.error), None)
+    return Report(value, lines, error.exit_code if error else 0, error)
 
 
 class _LogFile(logging.FileHandler):
@@ -109,15 +122,9 @@ class _LogFile(logging.FileHandler):
 
 @contextlib.contextmanager
 def logging_to(folder: Path) -> Iterator[None]:
-    """Log to stderr, and with details to RUN/run.log."""
+    """Log with details to RUN/run.log too."""
     log = logging.getLogger("piegraph")
-    log.setLevel(logging.DEBUG)
-    stderr = logging.StreamHandler(sys.stderr)
-    stderr.setLevel(logging.INFO)
-    stderr.setFormatter(logging.Formatter("%(message)s"))
-    log.handlers = [stderr]
     with contextlib.ExitStack() as stack:
-        stack.callback(log.handlers.clear)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             file = stack.enter_context(contextlib.closing(_LogFile(folder / "run.log", encoding="utf-8")))
@@ -126,5 +133,6 @@ def logging_to(folder: Path) -> Iterator[None]:
         else:
             file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
             log.addHandler(file)
+            stack.callback(log.removeHandler, file)
         log.debug("piegraph %s: %s", __version__, sys.argv[1:])
         yield

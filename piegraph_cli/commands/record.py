@@ -1,5 +1,6 @@
 """The command `record`: cameras that are plugged in, their live picture, and takes that become sequences."""
 
+import logging
 import queue
 import re
 import sys
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from piegraph_cli.capture.station import Station
     from piegraph_cli.recording.camera import Camera
     from piegraph_cli.recording.layout import CamerasFile
+
+log = logging.getLogger("piegraph")
 
 BOARD_SECONDS = 2.0
 
@@ -109,7 +112,7 @@ def _prepared(
     notes += [*station.notes, *check(load, recording, seconds)]
     notes += [f"{name} is what a take left that was killed: remove it" for name in unfinished(recording)]
     for note in notes:
-        _say(f"note: {note}")
+        log.warning("note: %s", note)
     _say(f"{len(models)} cameras, {load.needed:.0f} MB a second, space for {load.seconds / 60:.0f} minutes")
     return models
 

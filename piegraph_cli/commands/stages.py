@@ -6,6 +6,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from inspect import Signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,7 +104,7 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
         if out is not None and (folder / written).exists():
             with atomic_file(out) as temporary:
                 shutil.copyfile(folder / written, temporary)
-    if stage.name in report.value:
+    if report.value and stage.name in report.value:
         report.value[stage.name] = str(out) if out else None
     return report
 
@@ -117,14 +118,16 @@ def _accepted(outcomes: "Sequence[Outcome]") -> bool:
 
 
 def _report(stage: Stage, run: "Run", outcomes: "Sequence[Outcome]", seconds: float) -> Report:
-    """What the run has now, where the stage tells it; else, or where its only unit failed, what became of the units."""
-    if stage.call.describe and not any(o.unit is None and o.error for o in outcomes):
+    """What the run has now, where the stage tells it and its only unit did not fail; else what became of the units."""
+    report = summary(outcomes, run.folder)
+    if stage.call.describe and any(o.unit is None and o.error for o in outcomes):
+        return replace(report, value=None)
+    if stage.call.describe:
         value, lines = load(stage.call.describe)(run)
         return with_failures(value, lines, outcomes) if stage.unit != "run" else Report(value, lines)
-    report = summary(outcomes, run.folder)
     made = sum(o.state == "done" for o in outcomes)
     if stage.call.counts and made:
         rate = made * getattr(run.recipe.params(stage), stage.call.counts) / seconds
-        report.value[f"{stage.call.counts}_per_second"] = rate
-        report.lines.append(f"{rate:.1f} {stage.call.counts} a second")
+        told = {**(report.value or {}), f"{stage.call.counts}_per_second": rate}
+        return replace(report, value=told, lines=[*report.lines, f"{rate:.1f} {stage.call.counts} a second"])
     return report

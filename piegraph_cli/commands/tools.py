@@ -9,6 +9,7 @@ import typer
 from piegraph_cli.commands.names import KINDS
 from piegraph_cli.commands.options import AsJson
 from piegraph_cli.commands.output import Report, emit
+from piegraph_cli.errors import MissingError
 
 
 def list_names(
@@ -39,12 +40,13 @@ def unpack(
     from piegraph_cli.recording.folders import list_sequences
     from piegraph_cli.recording.unpack import unpack as write_sequence
 
-    written, lines = [], []
+    written, lines, warnings = [], [], []
     for bag in tqdm(list_sequences(recording, "ros"), desc="unpack", leave=False, disable=None):
         name, count, notes = write_sequence(bag, out)
         written.append({"sequence": name, "images": count, "warnings": notes})
+        warnings += [f"{name}: {note}" for note in notes]
         lines += [f"{name}  {count} images of each camera", *(f"  {note}" for note in notes)]
-    emit(Report({"out": str(out), "sequences": written}, lines), as_json)
+    emit(Report({"out": str(out), "sequences": written}, lines, warnings=warnings), as_json)
 
 
 def doctor(
@@ -61,7 +63,8 @@ def doctor(
     checks = check_machine()
     lines = [f"{'ok' if c.ok else 'MISSING':8s} {c.name:24s} {c.detail}" for c in checks]
     needed = [c for c in checks if not c.ok and c.needed]
-    emit(Report({"checks": [asdict(c) for c in checks]}, lines, 4 if needed else 0), as_json)
+    error = MissingError(f"{needed[0].name} is missing", hint=needed[0].detail) if needed else None
+    emit(Report({"checks": [asdict(c) for c in checks]}, lines, 4 if needed else 0, error), as_json)
 
 
 def bench(

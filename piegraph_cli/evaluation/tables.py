@@ -68,9 +68,11 @@ def summarise_scores(scores: Sequence[Mapping[str, np.ndarray]]) -> list[dict[st
 
 
 def as_json(value: Any) -> str:
-    """JSON text of a result, `null` for what is not finite: NaN is not JSON."""
+    """JSON text of a result, arrays as lists, `null` for what is not finite: NaN is not JSON."""
 
     def finite(part: Any) -> Any:
+        if isinstance(part, (np.ndarray, np.generic)):
+            part = part.tolist()
         if isinstance(part, dict):
             return {name: finite(inner) for name, inner in part.items()}
         if isinstance(part, (list, tuple)):

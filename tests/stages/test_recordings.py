@@ -67,7 +67,7 @@ def test_one_that_is_gone_is_named_and_what_was_read_of_it_stays(days, tmp_path)
     moved = days[0].rename(tmp_path / "archive")
     done = piegraph("ingest", "--run", run, "--json")
     assert f"the recording {days[0]} is gone: its 2 sequences stay as they were read" in done.stderr
-    assert {o["state"] for o in json.loads(done.stdout)["outcomes"]} == {"cached"}
+    assert {o["state"] for o in json.loads(done.stdout)["result"]["outcomes"]} == {"cached"}
     assert set(ingest(run, moved, days[1]).values()) == {"cached"}, "content counts, not the place"
     assert read_truth(open_run(run), "seq 0") is None
 

@@ -92,7 +92,7 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     wait_for(lambda: not Path(f"/proc/{worker}").exists())
     names = sorted(path.name for path in done.iterdir())
     assert names == [f"tblock.piegraph.goal0{g}.seed0{s}.h5" for g in range(3) for s in range(4)]
-    found = json.loads(out)
+    found = json.loads(out)["result"]
     assert [row["trials"] for row in found["results"]] == [12], "each trial once in the results"
     assert found["failed"] == []
     alone = runs / "alone"

@@ -1,5 +1,7 @@
 """The errors a user can cause or mend, each with the exit code the command line ends with."""
 
+from typing import Any
+
 
 class PiegraphError(Exception):
     """What went wrong, where (file, sequence, frame, camera), and what to try next.
@@ -48,3 +50,14 @@ class MissingError(PiegraphError):
 
     exit_code = 4
     kind = "missing"
+
+
+def error_object(error: PiegraphError) -> dict[str, Any]:
+    """An error for programs."""
+    return {
+        "kind": error.kind,
+        "message": error.message,
+        "where": error.where or None,
+        "try": error.hint or None,
+        "exit_code": error.exit_code,
+    }

@@ -67,11 +67,15 @@ class Gate:
             return HTTPStatus.FORBIDDEN, UsageError("pages of a browser are not answered", "Origin")
         given = request.headers.get("authorization", "")
         if self.token is not None and not hmac.compare_digest(given.encode(), f"Bearer {self.token}".encode()):
-            return HTTPStatus.UNAUTHORIZED, UsageError("a token is needed", "Authorization", "Authorization: Bearer TOKEN")
+            return HTTPStatus.UNAUTHORIZED, UsageError(
+                "a token is needed", "Authorization", "Authorization: Bearer TOKEN"
+            )
         kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
         if request.method == "POST" and kind != "application/json":
             hint = "send the header Content-Type: application/json"
-            return HTTPStatus.UNSUPPORTED_MEDIA_TYPE, UsageError(f"not JSON but {kind[:80] or 'unnamed'}", "Content-Type", hint)
+            return HTTPStatus.UNSUPPORTED_MEDIA_TYPE, UsageError(
+                f"not JSON but {kind[:80] or 'unnamed'}", "Content-Type", hint
+            )
         return None
 
 
@@ -112,7 +116,7 @@ class Counter:
             busy = Busy(f"{WAITING} requests are waiting already", "request", "ask again when they are answered")
             refused = HTTPStatus.SERVICE_UNAVAILABLE, busy
         if refused is not None:
-            return _response(envelope(command, None, [], refused[1]), refused[0])
+            return _response(envelope(command if command in REQUESTS else None, None, [], refused[1]), refused[0])
         return await self._in_turn(request, command, data)
 
     async def _in_turn(self, request: Request, command: str, data: bytes) -> Response:

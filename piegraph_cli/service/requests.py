@@ -3,7 +3,7 @@
 import base64
 import binascii
 import json
-from typing import Annotated, Any, Literal, NoReturn, get_args
+from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -161,7 +161,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def request_of(command: Any, fields: dict[str, Any]) -> Request:
-    """A request with its fields checked. Raises `UsageError` for commands that there are not, and wrong fields."""
+    """A request with its fields checked. Raises `UsageError` for what there is not, and wrong fields."""
     if not isinstance(command, str) or command not in REQUESTS:
         given = f"no command {command!r:.40}" if command is not None else "no command is named"
         raise UsageError(given, "request", f"one of {', '.join(REQUESTS)}")

@@ -88,14 +88,17 @@ class Service:
 
     def reply(self, data: bytes, command: str | None = None) -> Reply:
         """The answer to one JSON object; the command is its field `command` where none is given. Never raises."""
-        result, warnings, error = None, [], None
+        result: dict[str, Any] | None = None
+        warnings: list[str] = []
+        error: PiegraphError | None = None
         begin = time.perf_counter()
         try:
             fields = parsed(data)
-            command = fields.pop("command", None) if command is None else command
-            request = request_of(command, fields)
+            asked = fields.pop("command", None) if command is None else command
+            command = asked if isinstance(asked, str) and asked in REQUESTS else None
+            request = request_of(asked, fields)
             begun = time.perf_counter()
-            result, warnings, error = self._answered(command, request)
+            result, warnings, error = self._answered(request)
             result["seconds"] = {"request": begun - begin} | result.get("seconds", {})
             result["seconds"]["total"] = time.perf_counter() - begin
         except PiegraphError as known:
@@ -105,7 +108,7 @@ class Service:
             error = PiegraphError(f"{type(bug).__name__}: {bug}", "bug in piegraph", "the traceback is on stderr")
         return envelope(command, result, warnings, error)
 
-    def _answered(self, command: str, request: Request) -> tuple[dict[str, Any], list[str], PiegraphError | None]:
+    def _answered(self, request: Request) -> tuple[dict[str, Any], list[str], PiegraphError | None]:
         """Result, warnings, and the error that a result may have beside it."""
         error = None
         if isinstance(request, PlanRequest):
@@ -118,7 +121,10 @@ class Service:
             result, warnings = self._info(), []
         replaced = self._on_disk()
         if replaced != "same":
-            warnings = [*warnings, f"the model file is {replaced} on disk: this is still the one of key {self.origin.key}"]
+            warnings = [
+                *warnings,
+                f"the model file is {replaced} on disk: this is still the one of key {self.origin.key}",
+            ]
         return {"model": {"label": self.model.label, "key": self.origin.key}} | result, warnings, error
 
     def _plan(self, request: PlanRequest) -> tuple[dict[str, Any], list[str]]:
@@ -157,13 +163,17 @@ class Service:
         needed, rest = len(request.state), request.rest
         if needed > MOST_PARTICLES or (rest is not None and len(rest) != needed):
             given = f"{needed} particles" + (f" and a rest shape of {len(rest)}" if rest is not None else "")
-            raise DataError(given, "predict", f"give the same number, at most {MOST_PARTICLES}; plan takes whole clouds")
+            raise DataError(
+                given, "predict", f"give the same number, at most {MOST_PARTICLES}; plan takes whole clouds"
+            )
         starts, ends = ([getattr(stroke, end) for stroke in request.strokes] for end in ("start", "end"))
         strokes = Strokes.of(starts, ends, [mode_number(stroke.mode) for stroke in request.strokes])
         begin = time.perf_counter()
         after = self.model.predict(request.state, strokes, rest=rest)
         if not np.isfinite(after).all():
-            raise DataError("the prediction is not finite", "predict", "give particles of an object, some centimetres large")
+            raise DataError(
+                "the prediction is not finite", "predict", "give particles of an object, some centimetres large"
+            )
         seconds = {"predict": time.perf_counter() - begin}
         return {"predicted": [written(one, request.encoding) for one in after], "units": "m", "seconds": seconds}
 
@@ -223,7 +233,7 @@ def envelope(
 ) -> Reply:
     """The answer as one line: the names of the commands' `--json`."""
     value = {
-        "command": command if isinstance(command, str) and command in REQUESTS else None,
+        "command": command,
         "version": __version__,
         "result": result,
         "warnings": warnings,

@@ -1,4 +1,4 @@
-"""JSON lines: a request on each line of stdin, its answer on the next line of stdout. Whatever else is printed goes to stderr."""
+"""JSON lines: a request on each line of stdin, its answer on the next line of stdout. All else that is printed is on stderr."""
 
 import os
 import sys

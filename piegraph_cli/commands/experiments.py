@@ -1,5 +1,6 @@
 """The command that makes the paper's tables and figures."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -72,11 +73,10 @@ def _together(reports: dict[str, Report]) -> Report:
 
 def _told_before(folder: Path) -> Report:
     """The table of troubles as it was made last."""
-    path = folder / "report" / "troubles.txt"
-    if not path.is_file():
+    text, numbers = (folder / "report" / f"troubles.{suffix}" for suffix in ("txt", "json"))
+    if not (text.is_file() and numbers.is_file()):
         raise DataError("no results yet", str(folder), "piegraph reproduce troubles")
-    lines = path.read_text().splitlines()
-    return Report({"table": lines}, lines)
+    return Report({"troubles": json.loads(numbers.read_text())}, text.read_text().splitlines())
 
 
 def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jobs: int) -> Report:
@@ -91,7 +91,7 @@ def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jo
     params = validated(TroublesParams, values, "troubles", "", "correct the experiment")
     with logging_to(folder):
         value, lines = write_troubles(run_troubles(params, folder, jobs), folder)
-    return Report(value, lines)
+    return Report({"troubles": value}, lines)
 
 
 def _chosen(

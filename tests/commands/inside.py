@@ -2,12 +2,12 @@
 
 import contextlib
 import io
-import json
 import os
 import subprocess
 from pathlib import Path
 
 from piegraph_cli.commands.program import call
+from tests.envelopes import checked
 
 
 def piegraph(*arguments: object, check: int | None = 0, cwd: Path | None = None) -> subprocess.CompletedProcess:
@@ -31,4 +31,4 @@ def piegraph_json(*arguments: object, check: int | None = 0) -> dict:
 
 def envelope(*arguments: object, check: int | None = 0) -> dict:
     """All that a command prints with --json: one object."""
-    return json.loads(piegraph(*arguments, "--json", check=check).stdout)
+    return checked(piegraph(*arguments, "--json", check=check).stdout)

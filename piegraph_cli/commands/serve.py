@@ -54,11 +54,11 @@ def serve(
     signal.signal(signal.SIGTERM, _end)
     if stdio:
         from piegraph_cli.service.setup import opened_service
-        from piegraph_cli.service.stdio import serve_lines
+        from piegraph_cli.service.stdio import serve_lines, stdout_alone
 
-        with opened_service(run, model, recording, live, device) as service:
+        with stdout_alone() as answers, opened_service(run, model, recording, live, device) as service:
             print(f"{_what(service)} answers JSON lines on stdin", file=sys.stderr, flush=True)
-            serve_lines(service)
+            serve_lines(service, sys.stdin.buffer, answers)
         return
     from piegraph_cli.service.http import Gate, listen, make_server
 

@@ -94,8 +94,6 @@ class PlanRequest(Request):
     """A cloud of the goal."""
     goal_pose: Pose2 | None = None
     """The goal as a motion of the object: [DX, DY (m), DYAW (rad)]."""
-    corresponds: bool = False
-    """Whether the goal's points are the object's particles, in their order."""
     candidates: int = Field(0, ge=0, le=1000)
     """How many of the best candidates to tell."""
     encoding: Encoding = "lists"

@@ -135,7 +135,6 @@ class Service:
             params,
             request.state,
             request.goal,
-            corresponds=request.corresponds,
             device=self.model.device,
         )
         seconds = {"plan": time.perf_counter() - begin}

@@ -1,5 +1,6 @@
-"""JSON lines: a request on each line of stdin, its answer on the next line of stdout. All else that is printed is on stderr."""
+"""JSON lines: a request on each line of a stream, its answer on the next line of another."""
 
+import contextlib
 import os
 import sys
 from collections.abc import Iterator
@@ -9,17 +10,12 @@ from piegraph_cli.service.requests import MOST_BYTES
 from piegraph_cli.service.service import Service
 
 
-def serve_lines(service: Service) -> None:
-    """Answer until stdin ends, or nobody reads stdout any more."""
-    sys.stdout.flush()
-    with os.fdopen(os.dup(1), "wb") as answers:
-        os.dup2(2, 1)  # what libraries print must not stand between answers
-        try:
-            for line in lines(sys.stdin.buffer):
-                answers.write(service.reply(line).text + b"\n")
-                answers.flush()
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), answers.fileno())  # closing would write once more
+def serve_lines(service: Service, requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer until the requests end, or nobody reads the answers any more."""
+    with contextlib.suppress(BrokenPipeError):
+        for line in lines(requests):
+            answers.write(service.reply(line).text + b"\n")
+            answers.flush()
 
 
 def lines(stream: BinaryIO) -> Iterator[bytes]:
@@ -28,5 +24,18 @@ def lines(stream: BinaryIO) -> Iterator[bytes]:
         rest = line
         while len(rest) > MOST_BYTES and not rest.endswith(b"\n"):  # without keeping it
             rest = stream.readline(MOST_BYTES + 1)
-        if line.strip():
+        if len(line) > MOST_BYTES or line.strip():
             yield line
+
+
+@contextlib.contextmanager
+def stdout_alone() -> Iterator[BinaryIO]:
+    """This process's stdout for answers alone: what libraries print meanwhile goes to stderr."""
+    sys.stdout.flush()
+    own = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield os.fdopen(own, "wb", closefd=False)
+    finally:
+        os.dup2(own, 1)
+        os.close(own)

@@ -1,6 +1,7 @@
 """The errors a user can cause or mend, each with the exit code the command line ends with."""
 
 import shlex
+from typing import Any
 
 
 def command_line(*words: object) -> str:
@@ -55,3 +56,14 @@ class MissingError(PiegraphError):
 
     exit_code = 4
     kind = "missing"
+
+
+def error_object(error: PiegraphError) -> dict[str, Any]:
+    """An error for programs."""
+    return {
+        "kind": error.kind,
+        "message": error.message,
+        "where": error.where or None,
+        "try": error.hint or None,
+        "exit_code": error.exit_code,
+    }

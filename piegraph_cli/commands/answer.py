@@ -8,18 +8,7 @@ from contextvars import ContextVar
 from typing import Any
 
 from piegraph_cli import __version__
-from piegraph_cli.errors import PiegraphError
-
-
-def error_object(error: PiegraphError) -> dict[str, Any]:
-    """An error for programs."""
-    return {
-        "kind": error.kind,
-        "message": error.message,
-        "where": error.where or None,
-        "try": error.hint or None,
-        "exit_code": error.exit_code,
-    }
+from piegraph_cli.errors import error_object as error_object
 
 
 class Answer(logging.Handler):

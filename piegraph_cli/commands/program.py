@@ -14,12 +14,14 @@ from piegraph_cli import __version__
 from piegraph_cli.commands import experiments, look, record, runs, survey, tools
 from piegraph_cli.commands.answer import answering, error_object, wants_json
 from piegraph_cli.commands.calibrate import calibrate
+from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.errors import PiegraphError, UsageError
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
     "Runs": {"run": runs.run, "status": survey.status, "clean": survey.clean, "report": runs.report, "view": runs.view},
+    "Robots": {"serve": serve},
     "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {

@@ -168,6 +168,16 @@ class Seen(Result):
     """File that was written."""
 
 
+class Serving(Result):
+    """What `serve` says at once, when it can be asked; what it answers is in docs/robot.md."""
+
+    url: str
+    model: str
+    """Its label."""
+    key: str | None
+    """Of the model's artifact; `null` where nothing is trained."""
+
+
 class Names(Result):
     """Names, each with what it is."""
 
@@ -317,6 +327,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "report": (Pictures,),
     "record": (Recorded,),
     "look": (Seen,),
+    "serve": (Serving,),
     "reproduce": (Reproduced,),
     "list": (Names,),
     "unpack": (Unpacked,),

@@ -220,7 +220,7 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
         lines += _path_lines(rows)
         lines.append(f"goal: {_goal_text(params)}")
     if params.frame == "robot":
-        lines.append(f"in the robot's frame, by T_world_robot of {_cameras_file(run, params)}")
+        lines.append(f"in the robot's frame, by T_world_robot of {cameras_file(run, params)}")
     ends = plan["end_distance"].tolist()
     value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": params.frame, "units": "m"}
     value |= {"goal": _goal_text(params)} if params.state is not None else {}
@@ -252,22 +252,28 @@ def _goal_text(params: PlanParams) -> str:
 
 
 def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
-    """`T_frame_table` [4, 4] of the frame that strokes are told in; None where that is the run's world.
+    """`T_frame_table` of a run's plan, see `told_by`. Raises where the robot's frame is asked for and not known."""
+    from piegraph_cli.recording.robot_files import read_robot
 
-    Raises `UsageError` or `DataError` where the robot's is asked for and not known.
+    return told_by(params, lambda: read_robot(cameras_file(run, params)))
+
+
+def told_by(params: PlanParams, robot: "Callable[[], np.ndarray]") -> "np.ndarray | None":
+    """`T_frame_table` [4, 4] of the frame that strokes are told in; None where that is the world with the table at z = 0.
+
+    `robot` gives `T_world_robot` [4, 4], and is asked where that frame is wanted: it raises where it is not known.
     """
     import numpy as np
 
     from piegraph_cli.recording.ground import level
-    from piegraph_cli.recording.robot_files import read_robot
 
     T = np.linalg.inv(level(params.table or (0, 0, 0)))
     if params.frame == "robot":
-        return np.linalg.inv(read_robot(_cameras_file(run, params))) @ T
+        return np.linalg.inv(robot()) @ T
     return T if any(params.table or ()) else None
 
 
-def _cameras_file(run: "Run", params: PlanParams) -> "Path":
+def cameras_file(run: "Run", params: PlanParams) -> "Path":
     """The cameras.json that says where the robot stands. Raises `UsageError` where there is none, or several disagree."""
     from piegraph_cli.recording.robot_files import read_robot
 

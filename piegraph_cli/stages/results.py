@@ -19,16 +19,17 @@ class Result(BaseModel):
 class Error(Result):
     """Why something failed."""
 
-    kind: Literal["usage", "data", "input", "missing", "bug", "interrupted"]
+    kind: Literal["usage", "data", "input", "missing", "busy", "bug", "interrupted"]
     """`usage`: a wrong option, setting or recipe; `data`: a bad recording or file; `input`: what a stage reads was not
-    made yet; `missing`: a package, weights or a device that this machine lacks; `bug`: one in piegraph."""
+    made yet; `missing`: a package, weights or a device that this machine lacks; `busy`: `serve` is asked too much at
+    once; `bug`: one in piegraph."""
     message: str
     where: str | None
     """File, sequence, camera, frame, as far as they are known."""
     try_: str | None = Field(alias="try")
     """The command or change to try next."""
     exit_code: int
-    """Of a command that ends with this: 2, 3, 3, 4, 1, 130 in the order of the kinds."""
+    """Of a command that ends with this: 2, 3, 3, 4, 4, 1, 130 in the order of the kinds."""
 
 
 class Outcome(Result):

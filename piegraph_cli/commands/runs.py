@@ -210,14 +210,16 @@ def report(run: RunFolder, as_json: AsJson = False) -> None:
 
 
 def view(
-    run: RunFolder,
+    run: Annotated[list[Path], typer.Option("--run", help="run folder; give several to switch between them")],
     sequence: Annotated[str | None, typer.Option(help="sequence to show [default: the first]")] = None,
-    port: Annotated[int, typer.Option(min=1024, max=65535, help="port on this machine")] = 8080,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="port on this machine; 0: a free one")] = 0,
 ) -> None:
-    """Show clouds and tracks in the browser.
+    """Show runs in the browser: images, hand, cloud, particles, predictions and plans.
 
     Serves on 127.0.0.1 only, until interrupted.
     """
-    from piegraph_cli.viewer.serve import serve
+    from piegraph_cli.viewer.view import view as serve
 
+    for folder in run:
+        require_run(folder)
     serve(run, sequence, port)

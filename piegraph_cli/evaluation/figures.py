@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 
-GOAL, OBJECT, PREDICTED = "#d62728", "#1f4e9c", "#2ca02c"
+from piegraph_cli.evaluation.colors import GOAL, OBJECT, PREDICTED, model_color, model_marker
 
 
 def particle_colors(positions: np.ndarray) -> np.ndarray:
@@ -109,8 +109,8 @@ def error_figure(rows: Sequence[dict[str, Any]]) -> Figure:
             own = [row for row in rows if row["model"] == model]
             horizons = [row["horizon"] for row in own]
             mean, low, high = np.array([row[metric] for row in own]).T
-            axes.plot(horizons, mean, "o-", label=model, ms=4)
-            axes.fill_between(horizons, low, high, alpha=0.15)
+            axes.plot(horizons, mean, marker=model_marker(model), color=model_color(model), label=model, ms=4)
+            axes.fill_between(horizons, low, high, color=model_color(model), alpha=0.15, lw=0)
         axes.set(
             xlabel="strokes predicted", ylabel=f"{metric.upper()} [{unit}]", xticks=sorted({r["horizon"] for r in rows})
         )

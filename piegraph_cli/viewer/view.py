@@ -1,0 +1,51 @@
+"""The command `view`: opens runs, serves them until it is told to end."""
+
+import signal
+import threading
+from pathlib import Path
+
+from piegraph_cli.errors import MissingError, UsageError
+
+
+def view(folders: list[Path], sequence: str | None, port: int) -> None:
+    """Serve until Ctrl-C or SIGTERM. Raises `MissingError` without viser, `UsageError` for a sequence that there is not."""
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise MissingError("viser is not installed", hint="pip install 'piegraph[view]'") from None
+    from piegraph_cli.viewer.server import address, start_server
+    from piegraph_cli.viewer.source import OpenRun
+
+    runs = [OpenRun.of(folder) for folder in folders]
+    names = runs[0].names
+    if sequence is not None and sequence not in names:
+        raise UsageError(f"no sequence {sequence}", str(folders[0]), f"one of {', '.join(names)}")
+    server = start_server(port)
+    viewer = make_viewer(server, runs)
+    viewer.post(lambda: viewer.open(runs[0], sequence or (names[0] if names else "")))
+    viewer.start()
+    print(f"{address(server)}  (Ctrl-C ends it)", flush=True)
+    ended = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    try:
+        while not ended.wait(1.0):
+            pass
+    finally:
+        viewer.close()
+        server.stop()
+
+
+def make_viewer(server, runs):
+    """The viewer with its time line, layers and tabs, not yet started."""
+    from piegraph_cli.viewer.layers import LAYERS
+    from piegraph_cli.viewer.panels import PANELS
+    from piegraph_cli.viewer.timeline import Timeline
+    from piegraph_cli.viewer.viewer import Viewer
+
+    viewer = Viewer(server, runs, LAYERS)
+    Timeline(viewer)
+    tabs = server.gui.add_tab_group()
+    for panel in PANELS:
+        with tabs.add_tab(panel.title):
+            panel(viewer)
+    return viewer

@@ -1,0 +1,161 @@
+"""The viewer: what is open, where the time line stands, and one thread on which everything is drawn.
+
+Callbacks of the browser only `post` work; so layers and panels need no locks, and a slow one never blocks the connection.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from piegraph_cli.errors import PiegraphError
+from piegraph_cli.viewer.layer import Layer
+from piegraph_cli.viewer.server import Server
+from piegraph_cli.viewer.source import OpenRun, Sequence
+
+LOOK_AGAIN = 2.0
+"""Seconds after which files are looked at for changes."""
+
+log = logging.getLogger("piegraph")
+
+Act = Callable[[], None]
+
+
+class Viewer:
+    """Runs, the open sequence and frame, and the layers; `start` begins to draw.
+
+    `on_sequence` and `on_frame` register what is called, on the viewer's thread, after a sequence was opened and a frame drawn.
+    """
+
+    def __init__(self, server: Server, runs: list[OpenRun], layers: list[type[Layer]]):
+        self.server, self.runs = server, runs
+        self.opened = runs[0]
+        self.sequence = Sequence(self.opened, "")
+        self.frame = 0
+        self.layers = [layer(self) for layer in layers]
+        self.on: set[Layer] = {layer for layer in self.layers if layer.shown}
+        self._drawn: set[Layer] = set()
+        self._on_sequence: list[Act] = []
+        self._on_frame: list[Act] = []
+        self._on_tick: list[Act] = []
+        self._work: queue.Queue[Act] = queue.Queue()
+        self._wanted: int | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="viewer", daemon=True)
+        self._looked = time.monotonic()
+
+    def on_sequence(self, act: Act) -> None:
+        """Call `act` after another sequence was opened, or the same one anew."""
+        self._on_sequence.append(act)
+
+    def on_frame(self, act: Act) -> None:
+        """Call `act` after another frame was drawn."""
+        self._on_frame.append(act)
+
+    def on_tick(self, act: Act) -> None:
+        """Call `act` many times a second, between other work."""
+        self._on_tick.append(act)
+
+    def post(self, act: Act) -> None:
+        """Do something on the viewer's thread, after what was posted before. From any thread."""
+        self._work.put(act)
+
+    def show(self, frame: int) -> None:
+        """Draw a frame soon; of several that are asked for meanwhile the last. From any thread."""
+        self._wanted = frame
+        self._work.put(self._show_wanted)
+
+    def open(self, opened: OpenRun, name: str, frame: int = 0) -> None:
+        """Open a sequence and draw a frame of it. On the viewer's thread."""
+        self.sequence.close()
+        for layer in list(self._drawn):
+            self._clear(layer)
+        self.opened, self.sequence = opened, Sequence(opened, name)
+        self.frame = min(frame, max(0, len(self.sequence) - 1))
+        for layer in self.layers:
+            self._open_layer(layer)
+        for act in self._on_sequence:
+            self._guarded(act)
+        self._draw()
+
+    def open_again(self) -> None:
+        """Read the open sequence anew, at the same frame."""
+        fresh = OpenRun.of(self.opened.folder)
+        self.runs[self.runs.index(self.opened)] = fresh
+        self.open(fresh, self.sequence.name, self.frame)
+
+    def switch(self, layer: Layer, on: bool) -> None:
+        """Switch a layer on or off. On the viewer's thread."""
+        (self.on.add if on else self.on.discard)(layer)
+        if not on:
+            self._clear(layer)
+        elif layer not in self._drawn and self._open_layer(layer):
+            self._guarded(lambda: layer.draw(self.frame))
+
+    def tell(self, title: str, text: str, color: str = "blue") -> None:
+        """Show a notification in every browser. From any thread."""
+        for client in self.server.get_clients().values():
+            client.add_notification(title, text, color=color, auto_close_seconds=8.0)
+
+    def start(self) -> None:
+        """Begin to work."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and close the files."""
+        self._ended.set()
+        self._work.put(lambda: None)
+        self._thread.join(timeout=5.0)
+        self.sequence.close()
+
+    def _loop(self) -> None:
+        while not self._ended.is_set():
+            try:
+                self._guarded(self._work.get(timeout=0.01))
+            except queue.Empty:
+                for act in self._on_tick:
+                    self._guarded(act)
+                self._look_again()
+
+    def _look_again(self) -> None:
+        if time.monotonic() - self._looked > LOOK_AGAIN:
+            self._looked = time.monotonic()
+            if self.sequence.changed():
+                self._guarded(self.open_again)
+
+    def _show_wanted(self) -> None:
+        wanted, self._wanted = self._wanted, None
+        if wanted is not None and len(self.sequence):
+            self.frame = max(0, min(wanted, len(self.sequence) - 1))
+            self._draw()
+
+    def _draw(self) -> None:
+        if len(self.sequence):
+            with self.server.atomic():
+                for layer in self.layers:
+                    if layer in self._drawn:
+                        self._guarded(lambda layer=layer: layer.draw(self.frame))
+        for act in self._on_frame:
+            self._guarded(act)
+
+    def _open_layer(self, layer: Layer) -> bool:
+        if layer not in self.on or not len(self.sequence) or layer.missing():
+            return False
+        self._drawn.add(layer)
+        self._guarded(layer.open)
+        return True
+
+    def _clear(self, layer: Layer) -> None:
+        self._drawn.discard(layer)
+        layer.clear()
+
+    def _guarded(self, act: Act) -> None:
+        """Do something; what is wrong with the data is told in the browser, and the viewer goes on."""
+        try:
+            act()
+        except PiegraphError as error:
+            self.tell(error.message, f"{error.where}\n{error.hint}", "orange")
+        except Exception as error:
+            log.exception("the viewer goes on after an error")
+            self.tell("An error in piegraph", f"{type(error).__name__}: {error}", "red")

@@ -6,10 +6,10 @@ from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
 
 ROUNDS = 30
 """Of fitting each particle's turn and solving for all places, which is as rigid as possible."""
-HOLD = 30.0
-"""How much a held particle weighs beside one spring."""
-LENGTHS = 200
-"""Rounds in which springs are given their lengths back; then no place is held."""
+HOLDS = (30.0, 3.0, 0.3, 0.03, 0.003)
+"""How much a held particle weighs beside one spring: less is tried until springs keep their lengths."""
+LENGTHS, KEPT = 60, 0.02
+"""Rounds in which springs are given their lengths back, no place held, and the share of a length that may be missing then."""
 
 
 def bend(
@@ -28,23 +28,27 @@ def bend(
         now = moved_in_plane(flat, motion)
     else:
         now = np.array(start, np.float64)[:, :2]
-    now = _as_rigid_as_possible(flat, pairs, held, places, now)
-    now = _with_lengths(flat, pairs, now)
-    return np.column_stack([now, rest[:, 2]]).astype(np.float32)
+    for hold in HOLDS:
+        now = _as_rigid_as_possible(flat, pairs, held, places, now, hold)
+        bent = _with_lengths(flat, pairs, now)
+        if stretched_by(flat, pairs, bent) <= KEPT:
+            break
+    return np.column_stack([bent, rest[:, 2]]).astype(np.float32)
 
 
 def _as_rigid_as_possible(
-    flat: np.ndarray, pairs: np.ndarray, held: np.ndarray, places: np.ndarray, now: np.ndarray
+    flat: np.ndarray, pairs: np.ndarray, held: np.ndarray, places: np.ndarray, now: np.ndarray, hold: float
 ) -> np.ndarray:
+    """Places [N, 2] (m) from the places `now`: turns of the particles, and places for these turns, in turn."""
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
     edges = flat[second] - flat[first]
     laplacian = np.zeros((len(flat), len(flat)))
     np.add.at(laplacian, (first, second), -1.0)
     np.add.at(laplacian, (first, first), 1.0)
-    laplacian[held, held] += HOLD
+    laplacian[held, held] += hold
     inverse = np.linalg.inv(laplacian)
     pull = np.zeros_like(flat)
-    pull[held] = HOLD * places
+    pull[held] = hold * places
     for _ in range(ROUNDS):
         there = now[second] - now[first]
         cross = edges[:, 0] * there[:, 1] - edges[:, 1] * there[:, 0]

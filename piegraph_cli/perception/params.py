@@ -59,6 +59,17 @@ class SegmentParams(Params):
 
         return self.model_copy(update={"prompts": own(self.prompts), "points": own(self.points)})
 
+    def prompted(self, sequence: str, prompts: dict, points: dict) -> "SegmentParams":
+        """These settings with the prompts of one sequence, per camera, in place of its own; of all sequences for ''."""
+
+        def with_own(old: dict, new: dict) -> dict:
+            others = {name: px for name, px in old.items() if name.rpartition("/")[0] != sequence}
+            return others | {f"{sequence}/{camera}" if sequence else camera: px for camera, px in new.items()}
+
+        return self.model_copy(
+            update={"prompts": with_own(self.prompts, prompts), "points": with_own(self.points, points)}
+        )
+
 
 class FuseParams(Params):
     """Settings of `fuse`."""

@@ -57,9 +57,7 @@ def _as_rigid_as_possible(
         )  # of each particle with its springs
         both = np.stack([turn[first], turn[second]])
         cosine, sine = np.cos(both).mean(0), np.sin(both).mean(0)
-        turned = np.column_stack(
-            [cosine * edges[:, 0] - sine * edges[:, 1], sine * edges[:, 0] + cosine * edges[:, 1]]
-        )
+        turned = np.column_stack([cosine * edges[:, 0] - sine * edges[:, 1], sine * edges[:, 0] + cosine * edges[:, 1]])
         right = pull.copy()
         np.add.at(right, first, -turned)
         now = inverse @ right

@@ -108,7 +108,7 @@ def run(inputs: dict[str, Any], params: ScoreParams, context: Context) -> Output
     quality = [f"{np.mean(at_ends):.1f} mm from the truth at stroke ends"] if at_ends else []
     warnings: list[str] = []
     if params.clicks is not None:
-        found, told, warnings = _by_hand(inputs, params.clicks)
+        found, told, warnings = score_clicks(inputs, params.clicks)
         scores += spot_scores(found)
         quality.append(told)
     arrays = {
@@ -119,8 +119,11 @@ def run(inputs: dict[str, Any], params: ScoreParams, context: Context) -> Output
     return Output(arrays, "; ".join(quality) or "no truth to score against", warnings)
 
 
-def _by_hand(inputs: dict[str, Any], file: Path) -> tuple[list["Distance"], str, list[str]]:
-    """How far tracked particles carry clicked spots beside later clicks, in a line, and what is to be known of it."""
+def score_clicks(inputs: dict[str, Any], file: Path) -> tuple[list["Distance"], str, list[str]]:
+    """How far tracked particles carry clicked spots beside later clicks, the same in a line, and what is to be known of it.
+
+    `inputs` are frames, masks and tracks of the sequence. Raises `DataError` naming the line of a click that is none.
+    """
     from piegraph_cli.evaluation.scores import told_spots
     from piegraph_cli.evaluation.spots import distances
     from piegraph_cli.recording.clicks import read_clicks
@@ -184,7 +187,9 @@ def _frame_of(click: "Click", cameras: dict, source: "np.ndarray") -> int:
         raise DataError(f"there is no camera {click.camera}", click.where, f"its cameras are {', '.join(cameras)}")
     c, camera = cameras[click.camera]
     if not (0 <= click.column < camera.width and 0 <= click.row < camera.height):
-        message = f"column {click.column:g}, row {click.row:g} is outside the image of {camera.width} x {camera.height} px"
+        message = (
+            f"column {click.column:g}, row {click.row:g} is outside the image of {camera.width} x {camera.height} px"
+        )
         raise DataError(message, click.where, "click inside the image")
     found = np.flatnonzero(source[:, c] == click.frame)
     if len(found) == 0:

@@ -51,8 +51,8 @@ def follow_object(
 ) -> list[np.ndarray]:
     """The object's masks from its seed on: one [F, H, W] bool for each camera.
 
-    Arguments as `seed_object`; `over` is `map` or what does its work; in frames that are not `within` masks are empty. Raises `DataError` for a
-    camera that does not see the object, `MissingError` for a segmenter without weights.
+    Arguments as `seed_object`; `over` is `map` or what does its work; in frames that are not `within` masks are empty.
+    Raises `DataError` for a camera that does not see the object, `MissingError` for a segmenter without weights.
     """
     network = _network(params) if params.segmenter == "sam" else None
     images, depths = without_others(color, depth, cameras, seed)

@@ -72,8 +72,9 @@ def segment_sequence(
 
     `images` RGB uint8 [H, W, 3] and `depths` [H, W] in the camera's units (0 = no reading) are indexed by frame, in
     any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m); `tips` [F, 3] the
-    end-effector (m; NaN where unknown), as high as which the object may be lifted. `within` says how far
-    it is followed, all the way by default. A frame in which the object is hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
+    end-effector (m; NaN where unknown), as high as which the object may be lifted. `within` says how far it is
+    followed, all the way by default. A frame in which the object is hidden has an empty mask. Raises DataError naming
+    the camera where the object is never seen.
     """
     check_seed(seed_mask, camera, seed_frame)
     lifted = lifted_to(tips, len(hand_px))

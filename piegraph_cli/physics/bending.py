@@ -1,4 +1,4 @@
-"""An object's particles bent by hand: some of them are held at new places on the table, the others follow as springs let them."""
+"""Particles bent by hand: some are held at new places on the table, the others follow as springs let them."""
 
 import numpy as np
 

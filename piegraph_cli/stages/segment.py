@@ -7,9 +7,9 @@ from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
 if TYPE_CHECKING:
-    from piegraph_cli.perception.seeds import ObjectSeed
     import numpy as np
 
+    from piegraph_cli.perception.seeds import ObjectSeed
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 

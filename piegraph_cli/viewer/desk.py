@@ -43,7 +43,7 @@ class Desk:
             self._clear()
             self._sizes = sizes
             for c, (image, (x, z)) in enumerate(zip(images, self._middles(), strict=True)):
-                place = PLACE + [x, 0.0, z]
+                place = PLACE + np.array([x, 0.0, z])
                 shown = self.scene.add_image(
                     f"/desk/{c}", image, 1.0, self._height(c), wxyz=FACING, position=place, receive_shadow=False
                 )
@@ -59,7 +59,7 @@ class Desk:
             if number not in self._before and self._sizes:
                 camera = client.camera
                 self._before[number] = (camera.position, camera.look_at)
-                camera.position, camera.look_at = PLACE - [0.0, self._distance(camera), 0.0], PLACE
+                camera.position, camera.look_at = PLACE - np.array([0.0, self._distance(camera), 0.0]), PLACE
 
     def close(self) -> None:
         """Take no clicks any more, and bring the browsers back to where they were."""

@@ -18,6 +18,10 @@ class Layer:
     """Artifacts of the sequence without which there is nothing to draw: the checkbox is off then, and says why."""
     shown: ClassVar[bool] = True
     """Whether it is on at the start."""
+    listed: ClassVar[bool] = True
+    """Whether the tab of layers has a box for it; a panel of its own switches it otherwise."""
+    note: str = ""
+    """What a person should know of what is drawn: a legend, what was left out."""
 
     def __init__(self, viewer: "Viewer"):
         self.viewer = viewer
@@ -43,6 +47,8 @@ class Panel:
     """One tab beside the scene. Made once, inside its tab; its callbacks hand their work to `viewer.post`."""
 
     title: ClassVar[str]
+    left: ClassVar[bool] = False
+    """Whether it stands at the left, under each other with all of these, and not in a tab at the right."""
 
     def __init__(self, viewer: "Viewer"):
         """Make the elements of the tab; `viewer.on_sequence` and `viewer.on_frame` tell of changes."""

@@ -14,20 +14,23 @@ class LayerPanel(Panel):
     def __init__(self, viewer: Viewer):
         super().__init__(viewer)
         gui = viewer.server.gui
-        self.boxes = {layer: gui.add_checkbox(layer.name, layer in viewer.on) for layer in viewer.layers}
+        self.boxes = {
+            layer: gui.add_checkbox(layer.name, layer in viewer.on) for layer in viewer.layers if layer.listed
+        }
         for layer, box in self.boxes.items():
             box.on_update(lambda _, layer=layer: self._switch(layer))
+        gui.add_button("look at the object").on_click(lambda _: viewer.post(viewer.look_at_object))
         self.note = gui.add_markdown("")
-        viewer.on_sequence(self._tell_missing)
+        viewer.on_sequence(self._tell)
 
     def _switch(self, layer: Layer) -> None:
         self.viewer.post(lambda: self.viewer.switch(layer, self.boxes[layer].value))
 
-    def _tell_missing(self) -> None:
+    def _tell(self) -> None:
+        """What layers say of themselves, and for those that have nothing to show what to do."""
         said = {}
         for layer, box in self.boxes.items():
             why = layer.missing()
             box.disabled = bool(why)
-            if why:
-                said[why] = None
+            said |= {text: None for text in (why, layer.note) if text}
         self.note.content = "\n\n".join(said)

@@ -3,8 +3,17 @@
 import signal
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from piegraph_cli.errors import MissingError, UsageError
+
+if TYPE_CHECKING:
+    from piegraph_cli.viewer.server import Server
+    from piegraph_cli.viewer.source import OpenRun
+    from piegraph_cli.viewer.viewer import Viewer
+
+LEFT_WIDTH = 360
+"""Pixels of the images and curves at the left."""
 
 
 def view(folders: list[Path], sequence: str | None, port: int) -> None:
@@ -35,17 +44,26 @@ def view(folders: list[Path], sequence: str | None, port: int) -> None:
         server.stop()
 
 
-def make_viewer(server, runs):
-    """The viewer with its time line, layers and tabs, not yet started."""
+def make_viewer(server: "Server", runs: list["OpenRun"]) -> "Viewer":
+    """The viewer with its time line, layers and panels, not yet started."""
     from piegraph_cli.viewer.layers import LAYERS
     from piegraph_cli.viewer.panels import PANELS
     from piegraph_cli.viewer.timeline import Timeline
     from piegraph_cli.viewer.viewer import Viewer
 
     viewer = Viewer(server, runs, LAYERS)
+    server.scene.add_grid("/table", width=2.0, height=2.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
     Timeline(viewer)
-    tabs = server.gui.add_tab_group()
+    tabs, left = server.gui.add_tab_group(), server.gui.add_panel()
+    server.gui.main_panel.dock_right()
+    left.dock_left()
+    left.set_width(LEFT_WIDTH)
+    with left.add_tab("Recording"):
+        for panel in PANELS:
+            if panel.left:
+                panel(viewer)
     for panel in PANELS:
-        with tabs.add_tab(panel.title):
-            panel(viewer)
+        if not panel.left:
+            with tabs.add_tab(panel.title):
+                panel(viewer)
     return viewer

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from piegraph_cli.errors import PiegraphError
 from piegraph_cli.params import mode_word
 from piegraph_cli.recording.ground import level, moved
 from piegraph_cli.recording.points import write_points
@@ -41,7 +40,7 @@ class GoalTool(Tool):
         self.ask = self.gui.add_button("plan")
         self.told = self.gui.add_markdown("")
         self.shape: GoalShape | None = None
-        self.models: dict[str, Any] = {}
+        self.balls: dict[int, Any] = {}
         self.how.on_update(lambda _: viewer.post(self._handles))
         self.count.on_update(lambda _: viewer.post(self._handles))
         self.again.on_click(lambda _: viewer.post(self.take))
@@ -74,7 +73,7 @@ class GoalTool(Tool):
         scene = self.viewer.server.scene
         scene.remove_by_name(f"{ROOT}/by")
         self.count.visible = self.how.value == BEND
-        self.balls: dict[int, Any] = {}
+        self.balls = {}
         if self.how.value == MOVE:
             self._add_gizmo()
             return
@@ -144,12 +143,11 @@ class GoalTool(Tool):
         """Ask for the strokes to the goal, with the settings of the run, and draw them."""
         if self.shape is None:
             return
+        shape = self.shape
         self.told.content = "planning …"
-        try:
-            answer = self._answer()
-        except PiegraphError as error:
-            self.told.content = f"no plan: {error}"
-            raise
+        self.look_up(lambda: self._answer(shape), self._tell_plan, self.told)
+
+    def _tell_plan(self, answer: "Answer") -> None:
         self._draw_plan(answer)
         rows = [
             f"{k}. {mode_word(int(mode))} from ({a[0]:+.3f}, {a[1]:+.3f}) to ({b[0]:+.3f}, {b[1]:+.3f}) m"
@@ -168,19 +166,17 @@ class GoalTool(Tool):
         strokes = answer.strokes
         return [] if strokes is None else list(zip(strokes.mode.tolist(), strokes.ends.tolist(), strict=True))
 
-    def _answer(self) -> "Answer":
+    def _answer(self, shape: GoalShape) -> "Answer":
         from scipy.spatial import cKDTree
 
         from piegraph_cli.physics.particles import choose_particles
         from piegraph_cli.stages.models import load_model
 
-        assert self.shape is not None
         run = open_run(self.viewer.opened.folder)
-        label = run.params("plan").model
-        model = load_model(run.folder, label)
-        seen = choose_particles(self.shape.start, model.particles)
-        order = cKDTree(self.shape.start).query(seen)[1]
-        return model.plan(self.shape.start, goal=self.shape.points[order], corresponds=True, table=(0.0, 0.0, 0.0))
+        model = load_model(run.folder, run.params("plan").model)
+        start, goal = shape.start, shape.points.copy()
+        order = cKDTree(start).query(choose_particles(start, model.particles))[1]
+        return model.plan(start, goal=goal[order], corresponds=True, table=(0.0, 0.0, 0.0))
 
     def _draw_plan(self, answer: "Answer") -> None:
         scene = self.viewer.server.scene

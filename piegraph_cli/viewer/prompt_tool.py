@@ -83,11 +83,10 @@ class PromptTool(Tool):
         self.told.content = "looking …"
         params: SegmentParams = self._run().params(segment.STAGE.name)
         params = params.of(self.viewer.sequence.name).model_copy(update={"points": self.points, "prompts": self.boxes})
-        try:
-            frame, masks, warnings = segment.foresee_masks(*self._artifacts(), params)
-        except Exception as error:
-            self.told.content = f"no mask: {error}"
-            raise
+        self.look_up(lambda: segment.foresee_masks(*self._artifacts(), params), self._tell_masks, self.told)
+
+    def _tell_masks(self, found: tuple[int, list[np.ndarray], list[str]]) -> None:
+        frame, masks, warnings = found
         self._show(frame, masks)
         pixels = ", ".join(
             f"{camera.name} {int(mask.sum())} px"

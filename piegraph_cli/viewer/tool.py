@@ -1,12 +1,16 @@
 """What a person sets by hand: one tool for each thing that can be set, of which one at a time is in hand."""
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from piegraph_cli.errors import PiegraphError
 from piegraph_cli.recording.images import decode_color
 from piegraph_cli.viewer.desk import Desk
 from piegraph_cli.viewer.viewer import Viewer
+
+Found = TypeVar("Found")
 
 
 class Tool:
@@ -35,6 +39,23 @@ class Tool:
 
     def lay_down(self) -> None:
         """Take everything of the tool out of the scene."""
+
+    def look_up(self, work: Callable[[], Found], then: Callable[[Found], None], told: Any) -> None:
+        """Do what takes long on another thread; `then` gets what was found, `told` says what was wrong."""
+
+        def tried() -> Found | PiegraphError:
+            try:
+                return work()
+            except PiegraphError as error:
+                return error
+
+        def finish(found: Found | PiegraphError) -> None:
+            if isinstance(found, PiegraphError):
+                told.content = str(found)
+            else:
+                then(found)
+
+        self.viewer.behind(tried, finish)
 
     def pictures(self, frame: int) -> list[np.ndarray]:
         """The colour images [H, W, 3] of all cameras at a frame, to be drawn on; grey where there is none."""

@@ -110,9 +110,17 @@ class SpotTool(Tool):
 
     def _score(self) -> None:
         """Say how far tracked particles are off; `piegraph score` keeps it."""
-        run, name = open_run(self.viewer.opened.folder), self.viewer.sequence.name
-        if not self.clicks:
-            raise DataError("there is no click yet", str(self.file), "click one spot of the object in two frames")
-        inputs = {artifact: run.read(artifact, name) for artifact in ("frames", "masks", "tracks")}
-        _, told, warnings = score.score_clicks(inputs, self.file)
-        self.told.content = "\n\n".join([f"**{told}**", *warnings, f"`piegraph score --run {run.folder}` keeps it"])
+        run, name, file = open_run(self.viewer.opened.folder), self.viewer.sequence.name, self.file
+
+        def scored() -> tuple[str, list[str]]:
+            if not file.is_file():
+                raise DataError("there is no click yet", str(file), "click one spot of the object in two frames")
+            inputs = {artifact: run.read(artifact, name) for artifact in ("frames", "masks", "tracks")}
+            return score.score_clicks(inputs, file)[1:]
+
+        def tell(found: tuple[str, list[str]]) -> None:
+            told, warnings = found
+            self.told.content = "\n\n".join([f"**{told}**", *warnings, f"`piegraph score --run {run.folder}` keeps it"])
+
+        self.told.content = "looking …"
+        self.look_up(scored, tell, self.told)

@@ -3,11 +3,17 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from piegraph_cli.evaluation.metrics import SHAPE_RADIUS
+from piegraph_cli.physics.springs import SpringGraph, build_springs
 from piegraph_cli.viewer.pictures import Picture
 
 MOST_POINTS = 20_000
 """Points of a cloud that are drawn; more are thinned."""
+
+NEIGHBOURS = 2.2
+"""How far apart joined particles are, in median distances to the nearest one."""
 
 MOST_STRAIN = 0.1
 """Strain at which a spring's colour is full."""
@@ -53,10 +59,18 @@ def cloud_colors(points: np.ndarray, pictures: Iterable[Picture]) -> np.ndarray:
     return colors
 
 
+def spring_graph(positions: np.ndarray) -> SpringGraph:
+    """Springs between neighbours among positions [N, 3] (m): as many as can be seen, however dense they lie."""
+    if len(positions) < 2:
+        return build_springs(positions, SHAPE_RADIUS)
+    apart = np.median(cKDTree(positions).query(positions, k=2)[0][:, 1])
+    return build_springs(positions, float(np.clip(NEIGHBOURS * apart, 1e-6, SHAPE_RADIUS)))
+
+
 def strain_of(positions: np.ndarray, pairs: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
     """Strain [S] of springs between `pairs` [S, 2] of positions [N, 3]: above 0 longer than at rest, below 0 shorter."""
     length = np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
-    return length / rest_length - 1
+    return length / np.maximum(rest_length, 1e-6) - 1
 
 
 def strain_colors(strain: np.ndarray) -> np.ndarray:

@@ -75,7 +75,7 @@ class Curves:
         with self.viewer.server.atomic():
             self.plot.data = self._data()
             self.plot.series = tuple(series)
-            self.plot.scales = {"x": {"time": False}, "y": {"range": (0.0, self.top)}}
+            self.plot.scales = {"x": {"time": False, "range": (0.0, self._end())}, "y": {"range": (0.0, self.top)}}
             self.plot.axes = ({"label": "s", "labelSize": 16}, {"size": 44})
             self.plot.title = self.unit
             self.plot.legend = {"live": False}
@@ -85,6 +85,10 @@ class Curves:
         """Move the line to the time line's frame."""
         if self.plot.visible:
             self.plot.data = self._data()
+
+    def _end(self) -> float:
+        time = self.viewer.sequence.time
+        return float(time[-1]) if len(time) else 1.0
 
     def _data(self) -> tuple[np.ndarray, ...]:
         time = self.viewer.sequence.time

@@ -150,7 +150,7 @@ class GoalTool(Tool):
     def _tell_plan(self, answer: "Answer") -> None:
         self._draw_plan(answer)
         rows = [
-            f"{k}. {mode_word(int(mode))} from ({a[0]:+.3f}, {a[1]:+.3f}) to ({b[0]:+.3f}, {b[1]:+.3f}) m"
+            f"stroke {k}: {mode_word(int(mode))} from ({a[0]:+.3f}, {a[1]:+.3f}) to ({b[0]:+.3f}, {b[1]:+.3f}) m"
             for k, (mode, (a, b)) in enumerate(self._strokes(answer), 1)
         ]
         if not rows:

@@ -10,6 +10,8 @@ from piegraph_cli.viewer.layer import Layer
 from piegraph_cli.workspace.slices import Slices
 
 FREE, TOUCHING, WAY = (255, 150, 0), (220, 30, 30), (255, 190, 120)
+TIP = 0.009
+"""Metres that the end-effector is wide."""
 WAY_SECONDS = 2.0
 """How long the way behind the end-effector is."""
 
@@ -35,12 +37,10 @@ class Hand(Layer):
         self.hands = self.viewer.sequence.get("hands")
         self.way = path["end_effector"]
         self.contact = path["contact"] if "contact" in path else np.zeros(len(path), bool)
-        thin = {"thickness": 3.0, "thickness_units": "screen"}
-        self.bones = self.scene.add_line_segments(f"{self.root}/bones", NO_LINES, HAND_COLOR, **thin)
-        self.trail = self.scene.add_line_segments(f"{self.root}/way", NO_LINES, WAY, **thin)
-        look = {"point_shape": "circle", "precision": "float32"}
-        self.joints = self.scene.add_point_cloud(f"{self.root}/joints", NO_POINTS, HAND_COLOR, point_size=0.006, **look)
-        self.tip = self.scene.add_point_cloud(f"{self.root}/tip", NO_POINTS, FREE, point_size=0.014, **look)
+        self.bones = self.lines("bones", NO_LINES, HAND_COLOR, 3.0)
+        self.trail = self.lines("way", NO_LINES, WAY, 3.0)
+        self.joints = self.dots("joints", NO_POINTS, HAND_COLOR)
+        self.tip = self.dots("tip", NO_POINTS, FREE, TIP)
 
     def draw(self, frame: int) -> None:
         """Move skeleton, end-effector and way."""

@@ -1,9 +1,16 @@
 """What a layer and a panel are: things drawn into the scene, and tabs beside it."""
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
 
 if TYPE_CHECKING:
     from piegraph_cli.viewer.viewer import Viewer
+
+Color = tuple[int, int, int]
+
+PARTICLE = 0.004
+"""Metres that a drawn particle is wide."""
 
 
 class Layer:
@@ -37,6 +44,16 @@ class Layer:
 
     def draw(self, frame: int) -> None:
         """Draw a frame of the viewer's sequence."""
+
+    def dots(self, name: str, points: np.ndarray, color: Color, size: float = PARTICLE) -> Any:
+        """Round points [N, 3] (m) of a size (m) in one colour, as a handle whose `points` can be set."""
+        look = {"point_size": size, "point_shape": "circle", "precision": "float32"}
+        return self.scene.add_point_cloud(f"{self.root}/{name}", points, color, **look)
+
+    def lines(self, name: str, ends: np.ndarray, color: Color | np.ndarray, width: float = 1.5) -> Any:
+        """Lines [S, 2, 3] (m) of a width in pixels, in one colour or in those of their ends [S, 2, 3]."""
+        thin = {"thickness": width, "thickness_units": "screen"}
+        return self.scene.add_line_segments(f"{self.root}/{name}", ends, color, **thin)
 
     def clear(self) -> None:
         """Take everything of this layer out of the scene."""

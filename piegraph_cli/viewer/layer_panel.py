@@ -19,7 +19,10 @@ class LayerPanel(Panel):
         }
         for layer, box in self.boxes.items():
             box.on_update(lambda _, layer=layer: self._switch(layer))
-        gui.add_button("look at the object").on_click(lambda _: viewer.post(viewer.look_at_object))
+        look = gui.add_button_group("look at", ("object", "everything"))
+        look.on_click(
+            lambda _: viewer.post(viewer.look_at_all if look.value == "everything" else viewer.look_at_object)
+        )
         self.note = gui.add_markdown("")
         viewer.on_sequence(self._tell)
 
@@ -28,7 +31,7 @@ class LayerPanel(Panel):
 
     def _tell(self) -> None:
         """What layers say of themselves, and for those that have nothing to show what to do."""
-        said = {}
+        said: dict[str, None] = {}
         for layer, box in self.boxes.items():
             why = layer.missing()
             box.disabled = bool(why)

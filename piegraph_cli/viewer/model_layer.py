@@ -5,9 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from piegraph_cli.evaluation.colors import model_color
-from piegraph_cli.evaluation.metrics import SHAPE_RADIUS
-from piegraph_cli.physics.springs import build_springs
-from piegraph_cli.viewer.arrays import NO_LINES, NO_POINTS, rgb, segments
+from piegraph_cli.viewer.arrays import NO_LINES, NO_POINTS, rgb, segments, spring_graph
 from piegraph_cli.viewer.layer import Layer
 from piegraph_cli.viewer.rollouts import Rollouts
 
@@ -32,7 +30,7 @@ class Predictions(Layer):
         """Springs are those of the first frame."""
         tracks = self.viewer.sequence.get("tracks")
         assert tracks is not None
-        self.pairs = build_springs(tracks.row("positions", 0), SHAPE_RADIUS).pairs
+        self.pairs = spring_graph(tracks.row("positions", 0)).pairs
         self.states: dict[str, tuple[Any, Any]] = {}
 
     def draw(self, frame: int) -> None:
@@ -57,8 +55,5 @@ class Predictions(Layer):
 
     def _made(self, label: str) -> tuple[Any, Any]:
         color = rgb(TRACKED_COLOR if label == TRACKED else model_color(label))
-        root = f"{self.root}/{len(self.states)}"
-        look = {"point_size": 0.004, "point_shape": "circle", "precision": "float32"}
-        points = self.scene.add_point_cloud(f"{root}/points", NO_POINTS, color, **look)
-        thin = {"thickness": 1.5, "thickness_units": "screen"}
-        return points, self.scene.add_line_segments(f"{root}/springs", NO_LINES, color, **thin)
+        root = str(len(self.states))
+        return self.dots(f"{root}/points", NO_POINTS, color), self.lines(f"{root}/springs", NO_LINES, color)

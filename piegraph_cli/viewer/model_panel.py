@@ -135,7 +135,7 @@ class ModelPanel(Panel):
 
     def _draw_curves(self, rolled: Rollouts) -> None:
         time = self.viewer.sequence.time
-        strokes = np.arange(len(rolled.frames))
+        strokes = range(len(rolled.frames))
         ends = time[rolled.frames[:, 1].clip(max=len(time) - 1)]
         curves = {
             label: (

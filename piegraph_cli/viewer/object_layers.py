@@ -5,15 +5,15 @@ from typing import ClassVar
 import numpy as np
 
 from piegraph_cli.evaluation.colors import GOAL
-from piegraph_cli.evaluation.metrics import SHAPE_RADIUS
-from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.viewer.arrays import (
     MOST_POINTS,
     NO_LINES,
     NO_POINTS,
+    UNKNOWN,
     cloud_colors,
     rgb,
     segments,
+    spring_graph,
     strain_colors,
     strain_of,
     thinned,
@@ -36,7 +36,7 @@ class Cloud(Layer):
         assert clouds is not None
         self.clouds, self.offsets = clouds, clouds["offsets"]
         self.points = self.scene.add_point_cloud(
-            f"{self.root}/points", NO_POINTS, NO_POINTS, point_size=0.002, point_shape="square", point_shading="flat"
+            f"{self.root}/points", NO_POINTS, UNKNOWN, point_size=0.0015, point_shape="square", point_shading="flat"
         )
         most = int(np.diff(self.offsets).max(initial=0))
         self.note = f"clouds of up to {most:,} points are thinned to {MOST_POINTS:,}" if most > MOST_POINTS else ""
@@ -44,7 +44,9 @@ class Cloud(Layer):
     def draw(self, frame: int) -> None:
         """Draw the points of a frame."""
         points = thinned(self.clouds.rows("points", *map(int, self.offsets[frame : frame + 2])))
-        self.points.points, self.points.colors = points, cloud_colors(points, self.viewer.pictures.at(frame))
+        self.points.points = points
+        if len(points):  # no colours are none that the browser takes
+            self.points.colors = cloud_colors(points, self.viewer.pictures.at(frame))
 
 
 class Particles(Layer):
@@ -59,14 +61,10 @@ class Particles(Layer):
         tracks = self.viewer.sequence.get("tracks")
         assert tracks is not None
         self.tracks, first = tracks, tracks.row("positions", 0)
-        self.graph = build_springs(first, SHAPE_RADIUS)
-        self.points = self.scene.add_point_cloud(
-            f"{self.root}/points", first, TRACKED, point_size=0.004, point_shape="circle", precision="float32"
-        )
+        self.graph = spring_graph(first)
+        self.points = self.dots("points", first, TRACKED)
         lines = segments(first, self.graph.pairs)
-        self.springs = self.scene.add_line_segments(
-            f"{self.root}/springs", lines, np.zeros_like(lines), thickness=2.0, thickness_units="screen"
-        )
+        self.springs = self.lines("springs", lines, np.zeros_like(lines), 2.0)
 
     def draw(self, frame: int) -> None:
         """Move them."""
@@ -95,11 +93,8 @@ class Truth(Layer):
         """Make what moves."""
         sequence = self.viewer.sequence
         self.tracks, self.scores = sequence.get("tracks"), sequence.get("scores")
-        look = {"point_size": 0.004, "point_shape": "circle", "precision": "float32"}
-        self.points = self.scene.add_point_cloud(f"{self.root}/points", NO_POINTS, TRUE, **look)
-        self.lines = self.scene.add_line_segments(
-            f"{self.root}/errors", NO_LINES, TRUE, thickness=2.0, thickness_units="screen"
-        )
+        self.points = self.dots("points", NO_POINTS, TRUE)
+        self.errors = self.lines("errors", NO_LINES, TRUE, 2.0)
 
     def draw(self, frame: int) -> None:
         """Move them."""
@@ -107,4 +102,4 @@ class Truth(Layer):
         assert self.scores is not None
         true = self.scores.row("true_positions", frame)
         self.points.points = true
-        self.lines.points = np.stack([self.tracks.row("positions", frame), true], 1)
+        self.errors.points = np.stack([self.tracks.row("positions", frame), true], 1)

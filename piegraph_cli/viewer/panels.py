@@ -7,5 +7,6 @@ from piegraph_cli.viewer.layer import Panel
 from piegraph_cli.viewer.layer_panel import LayerPanel
 from piegraph_cli.viewer.model_panel import ModelPanel
 from piegraph_cli.viewer.plan_panel import PlanPanel
+from piegraph_cli.viewer.run_panel import RunPanel
 
-PANELS: list[type[Panel]] = [ImagePanel, CurvePanel, LayerPanel, ModelPanel, PlanPanel, HandPanel]
+PANELS: list[type[Panel]] = [ImagePanel, CurvePanel, LayerPanel, ModelPanel, PlanPanel, HandPanel, RunPanel]

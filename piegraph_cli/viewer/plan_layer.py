@@ -6,9 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from piegraph_cli.evaluation.colors import GOAL, OBJECT, PREDICTED
-from piegraph_cli.evaluation.metrics import SHAPE_RADIUS
-from piegraph_cli.physics.springs import build_springs
-from piegraph_cli.viewer.arrays import rgb, segments
+from piegraph_cli.viewer.arrays import rgb, segments, spring_graph
 from piegraph_cli.viewer.layer import Layer
 from piegraph_cli.workspace.slices import Slices
 
@@ -29,7 +27,7 @@ class Shown:
 
 def candidate_lines(strokes: np.ndarray, height: float = HEIGHT) -> np.ndarray:
     """First strokes [B, 2, 3] (m) of candidates [B, H, 2, 2] at a height above the table; those that were not made are NaN."""
-    first = strokes[:, 0]
+    first = strokes[:, 0, :, :2]
     return np.concatenate([first, np.full((*first.shape[:-1], 1), height, first.dtype)], -1)
 
 
@@ -76,12 +74,9 @@ class PlanLayer(Layer):
         self._strokes(plan, looked)
 
     def _state(self, name: str, state: np.ndarray, color: tuple[int, int, int], springs: bool = True) -> None:
-        root = f"{self.root}/{name}"
-        look = {"point_size": 0.005, "point_shape": "circle", "precision": "float32"}
-        self.scene.add_point_cloud(f"{root}/points", state, color, **look)
+        self.dots(f"{name}/points", state, color)
         if springs and len(state):
-            lines = segments(state, build_springs(state, SHAPE_RADIUS).pairs)
-            self.scene.add_line_segments(f"{root}/springs", lines, color, thickness=1.0, thickness_units="screen")
+            self.lines(f"{name}/springs", segments(state, spring_graph(state).pairs), color, 1.0)
 
     def _strokes(self, plan: Slices, looked: Shown) -> None:
         start_end = candidate_lines(plan.row("stroke", looked.step)[None, None])
@@ -97,8 +92,7 @@ class PlanLayer(Layer):
         costs = plan.row("candidate_cost", looked.step)[looked.iteration]
         elite = plan.row("candidate_weight", looked.step)[looked.iteration] > 0
         made = np.isfinite(lines).all((1, 2)) & looked.candidates
-        thin = {"thickness_units": "screen"}
         colors = np.repeat(cost_colors(costs)[:, None], 2, axis=1)
         others = made & ~elite
-        self.scene.add_line_segments(f"{self.root}/candidates", lines[others], colors[others], thickness=1.0, **thin)
-        self.scene.add_line_segments(f"{self.root}/elites", lines[made & elite], ELITE, thickness=2.5, **thin)
+        self.lines("candidates", lines[others], colors[others], 1.0)
+        self.lines("elites", lines[made & elite], ELITE, 2.5)

@@ -84,7 +84,7 @@ class SpotTool(Tool):
             return
         spot = self.spot.value
         if spot == NEW:
-            spot = next(name for k in range(1, 10_000) if (name := str(k)) not in self._names())
+            spot = next(str(k) for k in range(1, 10_000) if str(k) not in self._names())
         self.clicks = [c for c in self.clicks if (c.spot, c.camera, c.frame) != (spot, name, number)]
         self.clicks.append(Click(spot, name, number, *pixel))
         self._keep(spot)

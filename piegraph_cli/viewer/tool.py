@@ -51,7 +51,7 @@ class Tool:
 
         def finish(found: Found | PiegraphError) -> None:
             if isinstance(found, PiegraphError):
-                told.content = str(found)
+                told.content = str(found).replace("\n", "\n\n")
             else:
                 then(found)
 

@@ -146,6 +146,11 @@ class Viewer:
         """Turn every browser to where the object goes in this sequence."""
         self.look_at(self._places())
 
+    def look_at_all(self) -> None:
+        """Turn every browser to the object and the cameras around it."""
+        cameras = [camera.T_world_camera[:3, 3] for camera in self.sequence.cameras]
+        self.look_at(np.concatenate([self._places(), np.reshape(cameras, (-1, 3))]))
+
     def tell(self, title: str, text: str, color: str = "blue") -> None:
         """Show a notification in every browser. From any thread."""
         for client in self.server.get_clients().values():
@@ -159,7 +164,8 @@ class Viewer:
         """End the threads and close the files."""
         self._ended.set()
         self._work.put(lambda: None)
-        self._thread.join(timeout=5.0)
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
         self._behind.shutdown(wait=False, cancel_futures=True)
         self.sequence.close()
 

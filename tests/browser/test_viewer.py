@@ -194,30 +194,6 @@ class Filmed:
         return self.cameras[camera].project(point[None])[0][0]
 
 
-def test_a_click_on_the_object_is_a_prompt_that_the_recipe_keeps(screen, run):
-    before, filmed = open_run(run).recipe.sections, Filmed(run, "sequence_0001")
-    screen.choose("sequence", "sequence_0001")
-    screen.tab("Set")
-    screen.choose("set", "prompt")
-    without = screen.read("no prompt; the mask in frame 0")
-    screen.click_scene(*pixel_of(screen, filmed.sizes, 1, *filmed.pixel(0, 1)))
-    given = screen.read("1 points, 0 boxes; the mask in frame 0")
-    assert given.partition(":")[2] == without.partition(":")[2]  # the whole block in both
-    screen.press("save into the recipe")
-    told = screen.read("saved in")
-    after = open_run(run).recipe.sections
-    kept = after["segment"]["points"]
-    assert list(kept) == ["sequence_0001/cam1"]
-    assert np.abs(np.array(kept["sequence_0001/cam1"]) - filmed.pixel(0, 1)).max() < 1.5
-    assert {name: value for name, value in after.items() if name != "segment"} == {
-        name: value for name, value in before.items() if name != "segment"
-    }
-    assert "segment (sequence_0001)" in told
-    assert "sequence_0000" not in told
-    screen.choose("set", "nothing")
-    screen.choose("sequence", "sequence_0000")
-
-
 def test_clicks_on_one_spot_say_how_far_tracking_is_off(screen, run):
     screen.tab("Set")
     screen.choose("set", "true spots")
@@ -250,7 +226,7 @@ def test_a_goal_is_dragged_kept_and_planned_for(screen, run):
     sheet = like(before, (61, 133, 247), 40)  # the gizmo's plane
     assert len(sheet) > 20
     begin = np.median(sheet, axis=0)
-    screen.drag_scene(begin, begin + [70, 25])
+    screen.drag_scene(begin, (begin[0] + 70, begin[1] + 25))
     until(lambda: changed(before, still(screen)) > 300, "the goal elsewhere")
     screen.press("save the goal")
     screen.read("saved as")
@@ -261,7 +237,31 @@ def test_a_goal_is_dragged_kept_and_planned_for(screen, run):
     assert np.abs(goal - start - shift).max() < 1e-4
     before = still(screen)
     screen.press("plan")
-    screen.read("1. push from")
+    screen.read("stroke 1: push from")
     until(lambda: changed(before, still(screen)) > 100, "the strokes")
     screen.choose("set", "nothing")
     switch(screen, True, "cloud", "particles", "hand")
+
+
+def test_a_click_on_the_object_is_a_prompt_that_the_recipe_keeps(screen, run):
+    before, filmed = open_run(run).recipe.sections, Filmed(run, "sequence_0001")
+    screen.choose("sequence", "sequence_0001")
+    screen.tab("Set")
+    screen.choose("set", "prompt")
+    without = screen.read("no prompt; the mask in frame 0")
+    screen.click_scene(*pixel_of(screen, filmed.sizes, 1, *filmed.pixel(0, 1)))
+    given = screen.read("1 points, 0 boxes; the mask in frame 0")
+    assert given.partition(":")[2] == without.partition(":")[2]  # the whole block in both
+    screen.press("save into the recipe")
+    told = screen.read("saved in")
+    after = open_run(run).recipe.sections
+    kept = after["segment"]["points"]
+    assert list(kept) == ["sequence_0001/cam1"]
+    assert np.abs(np.array(kept["sequence_0001/cam1"]) - filmed.pixel(0, 1)).max() < 1.5
+    assert {name: value for name, value in after.items() if name != "segment"} == {
+        name: value for name, value in before.items() if name != "segment"
+    }
+    assert "segment (sequence_0001)" in told
+    assert "sequence_0000" not in told
+    screen.choose("set", "nothing")
+    screen.choose("sequence", "sequence_0000")

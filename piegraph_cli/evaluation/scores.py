@@ -62,6 +62,10 @@ def told_spots(found: Sequence[Distance], cameras: int) -> str:
     spots, frames = len({one.spot for one in found}), {one.frame for one in found} | {one.first for one in found}
     return (
         f"spots clicked by hand: median {middle:.1f} mm off, worst {worst.metres * MILLIMETRE:.1f} mm (spot {worst.spot}, "
-        f"frame {worst.frame}), clicks good to {sure:.1f} mm; {len(found)} distances of {spots} spots in {len(frames)} "
-        f"frames, {cameras} camera{'s' if cameras > 1 else ''}"
+        f"frame {worst.frame}), clicks good to {sure:.1f} mm; {_count(len(found), 'distance')} of {_count(spots, 'spot')} in "
+        f"{_count(len(frames), 'frame')}, {_count(cameras, 'camera')}"
     )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -77,7 +77,7 @@ def strain_colors(strain: np.ndarray) -> np.ndarray:
     """A colour uint8 [S, 3] per strain [S]: blue shorter, grey at rest, red longer."""
     share = np.clip(np.abs(strain) / MOST_STRAIN, 0, 1)[:, None]
     end = np.where(strain[:, None] < 0, SHORT, LONG)
-    return (REST + share * (end - REST)).astype(np.uint8)
+    return (REST + share * (end - REST)).round().astype(np.uint8)
 
 
 def segments(positions: np.ndarray, pairs: np.ndarray | Sequence[tuple[int, int]]) -> np.ndarray:

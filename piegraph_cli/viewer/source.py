@@ -11,7 +11,7 @@ from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.workspace.run import Run
-from piegraph_cli.workspace.slices import Slices
+from piegraph_cli.workspace.slices import Slices, Stamp, stamp_of
 
 TIMED = ("frames", "tracks", "clouds", "hands", "masks")
 """Artifacts of a sequence with a row per frame; the first that there is gives the time line."""
@@ -55,6 +55,7 @@ class Sequence:
         self.opened, self.name = opened, name
         self._open: dict[str, Slices] = {}
         self._missing: dict[str, str] = {}
+        self._stamps = self._stamps_now()
         for artifact in OF_SEQUENCE:
             self._try(artifact)
 
@@ -124,13 +125,10 @@ class Sequence:
 
     def changed(self) -> bool:
         """Whether an artifact came, went, or was made anew since this was opened."""
-        if any(held.changed() for held in self._open.values()):
-            return True
-        absent = (name for name in OF_SEQUENCE if name not in self._open)
-        return any(self._appeared(name) for name in absent)
+        return self._stamps != self._stamps_now()
 
-    def _appeared(self, artifact: str) -> bool:
-        return self._missing[artifact].startswith("no ") and self.opened.run.path(artifact, self.name).exists()
+    def _stamps_now(self) -> list[Stamp | None]:
+        return [stamp_of(self.opened.run.path(name, self.name)) for name in OF_SEQUENCE]
 
     def close(self) -> None:
         """Close its files."""

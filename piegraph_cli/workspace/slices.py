@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 CACHE_BYTES = 16 << 20
 """Unpacked chunks of one dataset that are kept, so that the next frame costs no unpacking."""
 
+Stamp = tuple[int, int, int]
+
 
 class Slices:
     """An artifact that stays open. Names, types and axes are checked at once, values when they are read.
@@ -27,7 +29,7 @@ class Slices:
         self._hint = f"make it again: `piegraph {attributes['stage']} --force`"
         self.key, self.quality, self.settings = attributes["key"], attributes["quality"], attributes["params"]
         try:
-            self._stamp = _stamp(path)
+            self._stamp = stamp_of(path)
             self._datasets = datasets_of(self._file, path, self._hint)
             self.lengths = check_form(path, name, self._datasets, self._hint)
         except BaseException:
@@ -69,14 +71,15 @@ class Slices:
 
     def changed(self) -> bool:
         """Whether another file lies there now, or none."""
-        return _stamp(self.path) != self._stamp
+        return stamp_of(self.path) != self._stamp
 
     def close(self) -> None:
         """Close the file; nothing can be read after."""
         self._file.close()
 
 
-def _stamp(path: Path) -> tuple[int, int, int] | None:
+def stamp_of(path: Path) -> Stamp | None:
+    """What tells a file from another one at its place; None where there is none."""
     try:
         found = os.stat(path)
     except OSError:

@@ -9,9 +9,13 @@ from piegraph_cli.workspace.stage import Context, Output, Stage
 if TYPE_CHECKING:
     import numpy as np
 
+    from piegraph_cli.perception.object_masks import Images
     from piegraph_cli.perception.seeds import ObjectSeed
+    from piegraph_cli.recording.camera import Camera
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
+
+    Given = tuple[Images, Images, list[Camera], np.ndarray, np.ndarray, SegmentParams, np.ndarray]
 
 
 def _settings(run: "Run", unit: str) -> SegmentParams:
@@ -62,7 +66,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     return Output({"mask": data, "mask_offsets": offsets, "area": area, "time": frames["time"]}, quality, warnings)
 
 
-def _given(frames: "Artifact", hands: "Artifact", params: SegmentParams) -> tuple:
+def _given(frames: "Artifact", hands: "Artifact", params: SegmentParams) -> "Given":
     """What finding and following the object need of a sequence."""
     import numpy as np
 

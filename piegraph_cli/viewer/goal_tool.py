@@ -13,6 +13,7 @@ from piegraph_cli.viewer.desk import Desk
 from piegraph_cli.viewer.goal_shape import GoalShape
 from piegraph_cli.viewer.tool import Tool
 from piegraph_cli.viewer.viewer import Viewer
+from piegraph_cli.workspace.slices import Slices
 
 if TYPE_CHECKING:
     from piegraph_cli.planning.question import Answer
@@ -51,7 +52,7 @@ class GoalTool(Tool):
         """Begin with the particles where they are."""
         sequence, frame = self.viewer.sequence, self.viewer.frame
         self.lay_down()
-        self.shape = GoalShape(sequence.get("tracks").row("positions", frame))
+        self.shape = GoalShape(self._tracks().row("positions", frame))
         self.file.value = str(self.viewer.opened.folder / "goals" / f"{sequence.name}.npz")
         self.told.content = f"From frame {frame}: grey as it is, red as it shall be."
         scene = self.viewer.server.scene
@@ -60,6 +61,11 @@ class GoalTool(Tool):
             f"{ROOT}/goal", self.shape.points, GOAL, point_size=0.006, precision="float32"
         )
         self._handles()
+
+    def _tracks(self) -> Slices:
+        tracks = self.viewer.sequence.get("tracks")
+        assert tracks is not None
+        return tracks
 
     def lay_down(self) -> None:
         """Take goal, handles and strokes away."""
@@ -125,7 +131,7 @@ class GoalTool(Tool):
 
     def _doubt(self) -> list[str]:
         assert self.shape is not None
-        seen = self.viewer.sequence.get("tracks")["positions"]
+        seen = self._tracks()["positions"]
         return [doubt] if (doubt := self.shape.doubt(seen)) else []
 
     def _keep(self) -> None:
@@ -135,7 +141,7 @@ class GoalTool(Tool):
         run, path = open_run(self.viewer.opened.folder), Path(self.file.value)
         T_world_table = np.linalg.inv(level(run.params("ingest").table))
         write_points(path, moved(self.shape.points, T_world_table))
-        at = self.viewer.sequence.get("tracks").path
+        at = self._tracks().path
         command = f"piegraph plan --run {run.folder} --state {at}:{self.viewer.frame} --goal {path}"
         self.told.content = "\n\n".join([f"saved as {path}", f"`{command}`", *self._doubt()])
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ROOT = "/goal_by_hand"
 GOAL, START, STROKE, PREDICTED = (214, 39, 40), (120, 120, 120), (255, 140, 0), (44, 160, 44)
-FREE, HELD = (255, 255, 255), (214, 39, 40)
+FREE, HELD = (30, 110, 230), (150, 40, 190)
 MOVE, BEND = "move and turn", "bend"
 """What dragging does."""
 

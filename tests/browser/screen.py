@@ -11,6 +11,8 @@ from PIL import Image
 
 WAIT = 30.0
 """Seconds that a test waits for what must come."""
+OF_THE_LIBRARY = ("Unable to preventDefault inside passive event listener",)
+"""What viser's page says of itself where something is dragged: nothing is wrong by it."""
 HERE = ("http://127.0.0.1", "ws://127.0.0.1", "file:", "data:", "blob:")
 
 
@@ -22,10 +24,14 @@ class Screen:
         self.errors: list[str] = []
         self.strangers: list[str] = []
         page.set_default_timeout(1000 * WAIT)
-        page.on("console", lambda said: self.errors.append(said.text) if said.type == "error" else None)
+        page.on("console", lambda said: self._said(said.type, said.text))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on("request", lambda asked: self._asked(asked.url))
         page.on("websocket", lambda socket: self._asked(socket.url))
+
+    def _said(self, kind: str, text: str) -> None:
+        if kind == "error" and not text.startswith(OF_THE_LIBRARY):
+            self.errors.append(text)
 
     def _asked(self, url: str) -> None:
         if not url.startswith(HERE):

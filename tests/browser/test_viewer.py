@@ -7,10 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from piegraph_cli.physics.bending import KEPT, stretched_by
 from piegraph_cli.recording.points import read_points
 from piegraph_cli.stages import open_run
 from piegraph_cli.stages.images import cameras_of
 from piegraph_cli.viewer.desk import Desk
+from piegraph_cli.viewer.goal_shape import GoalShape
+from piegraph_cli.viewer.goal_tool import FREE, HELD
 from piegraph_cli.workspace.artifact import read_artifact
 from tests.browser.conftest import viewing, watched
 from tests.browser.screen import changed, like, until
@@ -232,6 +235,39 @@ def test_a_goal_is_dragged_kept_and_planned_for(screen, run):
     screen.press("plan")
     screen.read("stroke 1: push from")
     until(lambda: changed(before, still(screen)) > 100, "the strokes")
+    screen.choose("set", "nothing")
+    switch(screen, True, "cloud", "particles", "hand")
+
+
+def balls(image: np.ndarray, color: tuple[int, int, int]) -> list[np.ndarray]:
+    """Middles (column, row) of what is drawn in a hue, lit or in the shade."""
+    import cv2
+
+    hue, saturation, _ = np.moveaxis(cv2.cvtColor(image, cv2.COLOR_RGB2HSV).astype(int), -1, 0)
+    wanted = int(cv2.cvtColor(np.uint8([[color]]), cv2.COLOR_RGB2HSV)[0, 0, 0])
+    mask = (np.abs(hue - wanted) < 8) & (saturation > 90)
+    _, _, stats, middles = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    return [middle for middle, row in zip(middles[1:], stats[1:], strict=True) if row[cv2.CC_STAT_AREA] > 15]
+
+
+def test_a_goal_is_bent_by_its_points(screen, run):
+    switch(screen, False, "cloud", "particles", "hand", "true particles")
+    to_frame(screen, 0)
+    screen.tab("Set")
+    screen.choose("set", "goal")
+    screen.choose("drag to", "bend")
+    free = until(lambda: found if len(found := balls(still(screen), FREE)) >= 4 else None, "points to hold")
+    middle = np.mean(free, axis=0)
+    ball = max(free, key=lambda at: np.linalg.norm(at - middle))
+    screen.drag_scene(tuple(ball), tuple(ball + 0.4 * (middle - ball) + [0, 25]))
+    until(lambda: len(balls(still(screen), HELD)) == 2 or None, "the dragged point and the farthest one")
+    screen.press("save the goal")
+    screen.read("saved as")
+    start = read_artifact(run / "tracks" / "sequence_0000.h5", "tracks")["positions"][0]
+    goal = read_points(run / "goals" / "sequence_0000.npz", None, {})
+    assert np.linalg.norm(goal - start, axis=1).max() > 0.01
+    assert stretched_by(start, GoalShape(start).pairs, goal) <= KEPT
+    screen.choose("drag to", "move and turn")
     screen.choose("set", "nothing")
     switch(screen, True, "cloud", "particles", "hand")
 

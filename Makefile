@@ -76,9 +76,10 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# the tables of README.md and docs/ from results/
+# the tables of README.md and docs/ from results/, and docs/settings.md from the settings
 tables: setup
 	$(BIN)/python -m tools.tables
+	$(BIN)/python -m tools.settings
 
 clean:
 	rm -rf .venv runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -86,9 +86,10 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# the tables of README.md and docs/ from results/, and docs/json.md from the models of what commands tell
+# the tables of README.md and docs/ from results/, docs/settings.md from the settings, docs/json.md from what commands tell
 tables: setup
 	$(BIN)/python -m tools.tables
+	$(BIN)/python -m tools.settings
 	$(BIN)/python -m tools.json_page
 
 clean:

@@ -65,7 +65,9 @@ def follow_object(
             return segmentation.segment_sequence(*given, progress=progress, within=within)
         box = params.prompts.get(cameras[c].name)
         prompt = sam.SamPrompt(box=box) if box else None
-        return sam.segment_sequence(network, *given, key_every=params.sam_every, prompt=prompt, progress=progress, within=within)
+        return sam.segment_sequence(
+            network, *given, key_every=params.sam_every, prompt=prompt, progress=progress, within=within
+        )
 
     return list(over(masks_of, range(len(cameras))))
 

@@ -1,6 +1,6 @@
 """The particles that represent a cloud, and how large an object is by them. NumPy alone: nothing heavy is imported."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +94,7 @@ class Sizes:
     most: Size
 
     @classmethod
-    def of(cls, states: Sequence[np.ndarray]) -> "Sizes":
+    def of(cls, states: Iterable[np.ndarray]) -> "Sizes":
         """Of an object in several states, particles [N, 3] (m) each."""
         rows = np.array([list(vars(size_of(state)).values()) for state in states])
         return cls(Size(*map(float, rows.min(0))), Size(*map(float, rows.max(0))))

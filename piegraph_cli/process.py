@@ -33,7 +33,7 @@ def choose_device(name: str) -> str:
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
-        raise MissingError("no CUDA device", hint="use --device cpu")
+        raise MissingError("PyTorch finds no CUDA device", "--device cuda", "leave --device out, or use --device cpu")
     return name
 
 

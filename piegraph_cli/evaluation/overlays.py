@@ -70,9 +70,9 @@ def draw_particles(image: np.ndarray, positions: np.ndarray, camera: Camera, col
     return image
 
 
-def label(image: np.ndarray, text: str) -> np.ndarray:
+def label(image: np.ndarray, text: str, size: float = 0.5) -> np.ndarray:
     """An RGB image with a line of text in its upper left corner."""
-    _write(image, text, 6, 18, 0.5)
+    _write(image, text, 6, round(36 * size), size)
     return image
 
 

@@ -23,7 +23,16 @@ class Field:
     """Whether an artifact may do without."""
 
 
-FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
+FIXED_AXES = {
+    "xyz": 3,
+    "xy": 2,
+    "wh": 2,
+    "first_last": 2,
+    "landmark": 21,
+    "start_end": 2,
+    "least_most": 2,
+    "measure": 4,
+}
 """Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
 
 TEXT, LONG_TEXT = "S128", "S512"
@@ -134,6 +143,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "particles": Field("", "1", "int64"),
         "modes": Field("mode", "0 push, 1 pick", "uint8"),
         "pace": Field("", "m a frame", "float64"),
+        "rest": Field("rest_particle,xyz", "m", "float32"),
+        "size": Field("least_most,measure", "m", "float64"),
         "step": Field("record", "1", "int64"),
         "train_loss": Field("record", "the model's own", "float64"),
         "validation_loss": Field("record", "the model's own", "float64", nan=True),
@@ -153,6 +164,9 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "metric": Field("episode", "text", TEXT),
         "episode": Field("step", "episode", "int64"),
         **_STEPS,
+        "path": Field("step,way_point,xyz", "m", "float32", nan=True),
+        "path_time": Field("step,way_point", "s", "float64", nan=True),
+        "path_closed": Field("step,way_point", "1", "bool"),
         "seed": Field("episode", "1", "int64"),
         "start_distance": Field("episode", "m", "float64"),
         "end_distance": Field("episode", "m", "float64", nan=True),

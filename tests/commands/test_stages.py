@@ -99,7 +99,7 @@ def test_evaluate_prints_what_there_is_and_names_what_is_missing(folder):
     found = piegraph_json(*command, check=3)
     assert {row["model"] for row in found["rows"]} == {"static", "piegraph"}
     assert found["failed"] == []
-    trains = f"piegraph train --run {folder} --model"
+    trains = f"piegraph train --run '{folder}' --model"
     assert {row["model"]: row["command"] for row in found["missing"]} == {
         "gnn@1.seed0": f"{trains} gnn@1 --seed 0",
         "pgnd.seed0": f"{trains} pgnd --seed 0",
@@ -115,7 +115,7 @@ def test_a_model_of_the_recipe_is_made_by_its_recipe(folder):
     for artifact in ("model", "metrics"):
         shutil.rmtree(folder / artifact)
     found = piegraph_json("evaluate", "--run", folder, "--models", "static,piegraph", check=3)
-    assert [row["command"] for row in found["missing"]] == [f"piegraph run --run {folder} --until train"]
+    assert [row["command"] for row in found["missing"]] == [f"piegraph run --run '{folder}' --until train"]
     assert {row["model"] for row in found["rows"]} == {"static"}
 
 
@@ -138,7 +138,7 @@ def test_render_records_in_place_of_tracks(tmp_path, monkeypatch):
     command = ("simulate", "tblock", "--render", "--sequences", 4, "--strokes", 3)
     found = piegraph_json(*command, "--out", "my_recording")
     assert found == {"recording": "my_recording", "sequences": ["sequence_0000"]}
-    assert piegraph(*command, "--jobs", 2, "--force").stdout == "recordings/tblock: 1 sequences\n"
+    assert piegraph(*command, "--jobs", 2, "--force").stdout == "recordings/tblock: 1 sequence\n"
     assert made == [("my_recording", "tblock", 4, 3, 1, False), ("recordings/tblock", "tblock", 4, 3, 2, True)]
 
 
@@ -239,7 +239,7 @@ def test_a_model_that_is_not_trained_plans_without_one(planner, model):
 
 def test_a_plan_with_a_model_that_is_not_there_names_what_trains_it_and_shows_no_old_plan(planner):
     done = piegraph("plan", "--run", planner, "--env", "tblock", "--model", "pgnd", check=3)
-    assert f"try: piegraph train --run {planner} --model pgnd --seed 0" in done.stderr
+    assert f"try: piegraph train --run '{planner}' --model pgnd --seed 0" in done.stderr
     assert done.stdout == "failed: plan\n"
 
 

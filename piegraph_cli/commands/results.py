@@ -97,10 +97,39 @@ class Cleaned(Result):
     files: list[Waste]
 
 
-class Pictures(Result):
-    """Files that were written."""
+class Verdict(Result):
+    """On one part of a run."""
 
-    pictures: list[str]
+    part: str
+    word: Literal["good", "check", "bad", "not yet"]
+    figure: str
+    """What the word rests on."""
+    todo: list[str]
+    """What to do about it."""
+    command: str
+    """What makes what is missing; empty where nothing is."""
+    anchor: str
+    """Of the section of the page that shows more."""
+
+
+class LeftOut(Result):
+    """Units of a stage that are not in a report."""
+
+    stage: str
+    state: Literal["stale", "missing", "failed", "damaged"]
+    units: list[str]
+    why: str
+    command: str
+    """What makes them."""
+
+
+class Reported(Result):
+    """A report that was written."""
+
+    report: str
+    """File."""
+    verdicts: list[Verdict]
+    left_out: list[LeftOut]
 
 
 class Take(Result):
@@ -324,7 +353,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "run": (Outcomes, Foreseen),
     "status": (Status,),
     "clean": (Cleaned,),
-    "report": (Pictures,),
+    "report": (Reported,),
     "record": (Recorded,),
     "look": (Seen,),
     "serve": (Serving,),

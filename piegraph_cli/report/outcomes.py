@@ -10,10 +10,11 @@ from piegraph_cli.evaluation.statistics import bootstrap_mean
 from piegraph_cli.evaluation.tables import Metrics, difference, interval, sequence_means
 from piegraph_cli.evaluation.trials import Trial, select
 from piegraph_cli.report.found import Found
-from piegraph_cli.report.verdicts import Verdict, counted
+from piegraph_cli.report.verdicts import Verdict
 from piegraph_cli.report.words import Word, worst
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.plan import METRICS
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.artifact import Artifact
 
 SOLVED = 0.5

@@ -5,6 +5,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from piegraph_cli.experiments.told import Reproduced
+from piegraph_cli.report.told import Reported
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.results import RESULTS as OF_STAGES
 from piegraph_cli.stages.results import Error, Number, Outcomes, Result
@@ -95,41 +96,6 @@ class Cleaned(Result):
     """Whether they were removed."""
     bytes: int
     files: list[Waste]
-
-
-class Verdict(Result):
-    """On one part of a run."""
-
-    part: str
-    word: Literal["good", "check", "bad", "not yet"]
-    figure: str
-    """What the word rests on."""
-    todo: list[str]
-    """What to do about it."""
-    command: str
-    """What makes what is missing; empty where nothing is."""
-    anchor: str
-    """Of the section of the page that shows more."""
-
-
-class LeftOut(Result):
-    """Units of a stage that are not in a report."""
-
-    stage: str
-    state: Literal["stale", "missing", "failed", "damaged"]
-    units: list[str]
-    why: str
-    command: str
-    """What makes them."""
-
-
-class Reported(Result):
-    """A report that was written."""
-
-    report: str
-    """File."""
-    verdicts: list[Verdict]
-    left_out: list[LeftOut]
 
 
 class Take(Result):

@@ -29,8 +29,7 @@ def main_model(found: Found, labels: Sequence[str]) -> str | None:
 
 def model_verdict(found: Found, metrics: Metrics) -> Verdict:
     """Predictions against an object that stays where it is, on held-out sequences."""
-    stages = ("dataset", "train", "evaluate")
-    said = [text for (stage, _), texts in found.warnings.items() if stage in stages for text in texts]
+    said, left = _said(found, "dataset", "train"), _said(found, "evaluate")
     main = main_model(found, list(metrics))
     if main is None:
         waiting = next(iter(found.units("evaluate", "stale", "missing", "failed")), None)
@@ -48,7 +47,14 @@ def model_verdict(found: Found, metrics: Metrics) -> Verdict:
     static = ours + gains[first][0]
     figure += f", {interval(gains[first])} cm better than an object that stays where it is ({static:.2f} cm)"
     word, todo = _word_of_gains(gains)
-    return Verdict("model", worst([word, "check" if said else word]), figure, said + todo, "", "model")
+    return Verdict("model", worst([word, "check" if said else word]), figure, said + todo + left, "", "model")
+
+
+def _said(found: Found, *stages: str) -> list[str]:
+    """What stages warned of, each once."""
+    return list(
+        dict.fromkeys(text for (stage, _), texts in found.warnings.items() if stage in stages for text in texts)
+    )
 
 
 def _word_of_gains(gains: dict[int, tuple[float, float, float]]) -> tuple[Word, list[str]]:

@@ -108,7 +108,7 @@ def _tracks(found: Found, name: str) -> Part:
         figure += f", measured {error:.1f} mm"
         if error > DOUBTFUL * 1000:
             return Part("bad", figure, doubt, [*said, f"the tracks are {error:.0f} mm off the truth"])
-    return Part(word, figure, doubt, said)
+    return Part(word, figure, doubt, said + found.warnings.get(("score", name), []))
 
 
 def measured_error(found: Found, name: str) -> float | None:

@@ -208,6 +208,10 @@ def test_images_that_cannot_be_decoded_are_named(tmp_path):
 
 def test_what_stages_warned_of_is_in_the_verdicts(tmp_path):
     run = made_run(tmp_path / "run", NAMES)
+    keep_warnings(run, STAGES["evaluate"], {"static": ["no held-out sequence has 4 strokes in a row"]})
+    page = Page(write_report(run.folder).path)
+    assert "no held-out sequence has 4 strokes in a row" in page.text()
+    assert words(page)["model"] == "good", "a horizon that is left out is no doubt of the others"
     keep_warnings(run, STAGES["dataset"], {None: ["no stroke in third"]})
     keep_warnings(run, STAGES["fuse"], {"third": ["the hand never touches the object"]})
     page = Page(write_report(run.folder).path)

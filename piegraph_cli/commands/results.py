@@ -2,12 +2,13 @@
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
+from piegraph_cli.commands.camera_results import Calibrated, Leveled, Recorded, RobotBase, Seen, Unpacked
 from piegraph_cli.experiments.told import Reproduced
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.results import RESULTS as OF_STAGES
-from piegraph_cli.stages.results import Error, Number, Outcomes, Result
+from piegraph_cli.stages.results import Error, Outcomes, Result
 
 
 class Envelope(Result):
@@ -97,75 +98,38 @@ class Cleaned(Result):
     files: list[Waste]
 
 
-class Pictures(Result):
-    """Files that were written."""
+class Verdict(Result):
+    """On one part of the run."""
 
-    pictures: list[str]
-
-
-class Take(Result):
-    """What became of a take."""
-
-    sequence: str
-    frames: dict[str, int]
-    """Images by camera."""
-    dropped: dict[str, int]
-    """Images that a camera left out, by the gaps between its times."""
-    seconds: float
-    kept: bool
+    part: str
+    word: Literal["good", "check", "bad", "not yet"]
+    figure: str
+    """What it rests on."""
+    todo: list[str]
+    """What would make it better."""
+    command: str
+    """It makes what is not there yet; empty where all is."""
+    anchor: str
+    """Of the section of the page that shows more."""
 
 
-class Recorded(Result):
-    """What was recorded."""
+class Gap(Result):
+    """What is not in the report: units of a stage that share a reason."""
 
-    recording: str
-    takes: list[Take]
-    cameras: list[str]
-    uncalibrated: list[str]
-    """Cameras whose pose is not known."""
-    next: str | None
-    """Command."""
+    stage: str
+    state: Literal["stale", "missing", "failed", "damaged"]
+    units: list[str]
+    why: str
+    command: str
 
 
-class Finding(Result):
-    """What is wrong with some cameras."""
+class Reported(Result):
+    """The page, and what it says first."""
 
-    check: str
-    verdict: Literal["doubtful", "bad"]
-    cameras: list[str]
-    text: str
-    try_: str = Field(alias="try")
-
-
-class Check(Result):
-    """One figure that was checked."""
-
-    check: str
-    cameras: list[str]
-    figure: Number
-    unit: str
-    verdict: Literal["good", "doubtful", "bad"]
-
-
-class Seen(Result):
-    """What was seen in one set of images."""
-
-    source: str
-    verdict: Literal["good", "doubtful", "bad"]
-    findings: list[Finding]
-    checks: list[Check]
-    points: int
-    """Of the cloud."""
-    particles: list[tuple[float, float, float]] | None
-    """x, y, z [m]; `null` where the verdict is bad."""
-    seconds: dict[str, float]
-    """By what they were spent on."""
-    frame: Literal["world"]
-    units: Literal["m"]
-    cloud: str | None
-    """File that was written."""
-    picture: str | None
-    """File that was written."""
+    report: str
+    """File."""
+    verdicts: list[Verdict]
+    left_out: list[Gap]
 
 
 class Serving(Result):
@@ -186,87 +150,6 @@ class Names(Result):
     recipes: dict[str, str] | None = None
     experiments: dict[str, str] | None = None
     layouts: dict[str, str] | None = None
-
-
-class UnpackedSequence(Result):
-    """A bag that was written as image files."""
-
-    sequence: str
-    images: int
-    """Of each camera."""
-    warnings: list[str]
-
-
-class Unpacked(Result):
-    """Bags that were written as image files."""
-
-    out: str
-    sequences: list[UnpackedSequence]
-
-
-class CalibratedCamera(Result):
-    """How well the corners of the board fit."""
-
-    error_px: float
-    frames_px: dict[str, float]
-    """By image."""
-    warnings: list[str]
-
-
-class Calibrated(Result):
-    """Cameras located by a board."""
-
-    cameras: dict[str, CalibratedCamera]
-    sequence: str | list[str]
-    """That shows the board, or those that do."""
-    legacy_board: bool
-    """Whether the board has the layout from before OpenCV 4.6."""
-    places: int
-    """Where the board lay."""
-    origin: str
-    """The image in which the board lies at the world's origin."""
-    notes: list[str]
-    picture: str
-    numbers: str
-    """File that keeps the errors."""
-
-
-class Off(Result):
-    """How far a camera's own table is from that of all."""
-
-    off_mm: float
-    off_deg: float
-
-
-class Leveled(Result):
-    """`calibrate --table`."""
-
-    height_mm: float
-    """By which the table lay above z = 0."""
-    tilt_deg: float
-    cameras: dict[str, Off]
-    notes: list[str]
-    picture: str
-    numbers: str
-    """File that keeps the errors."""
-
-
-class Residual(Result):
-    """Of one method of hand-eye calibration."""
-
-    residual_mm: float
-    residual_deg: float
-
-
-class RobotBase(Result):
-    """`calibrate --robot` or `--touched`."""
-
-    T_world_robot: list[list[float]]
-    """4 × 4, metres."""
-    notes: list[str]
-    off_mm: dict[str, float]
-    """How far each pose or point is off."""
-    methods: dict[str, Residual]
 
 
 class MachineCheck(Result):
@@ -324,7 +207,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "run": (Outcomes, Foreseen),
     "status": (Status,),
     "clean": (Cleaned,),
-    "report": (Pictures,),
+    "report": (Reported,),
     "record": (Recorded,),
     "look": (Seen,),
     "serve": (Serving,),

@@ -172,7 +172,7 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
     there = piegraph_json("plan", "--run", planner, "--state", tmp_path / "now.npz", "--goal-pose", "0,0,0")
     assert there["strokes"] == []
     assert "already" in there["quality"]
-    assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance"}
+    assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance", "path"}
 
 
 def test_a_cloud_that_was_cut_off_moves_no_robot(planner, tiny_run, tmp_path):

@@ -5,15 +5,20 @@ arrays, where no image tells what else is in them.
 """
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError
-from piegraph_cli.perception.judgement import check_size
+from piegraph_cli.perception.size import check_size
 from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
 from piegraph_cli.physics.springs import build_springs
 
 CELL = 0.01
 """Metres: side of the squares of the table by which areas are compared."""
+APART = 2
+"""Squares from one to the next of the same thing, at most."""
 ON_TABLE = 0.005
 """Metres from z = 0 within which a point may be the table's."""
 RIM = 0.4
@@ -111,14 +116,8 @@ def _fits(part: np.ndarray, count: int, sizes: Sizes) -> bool:
 
 def _parts(cloud: np.ndarray) -> list[np.ndarray]:
     """The parts of a cloud [P, 3] between which two squares of the table are empty, the one with most points first."""
-    from scipy.ndimage import label
-
-    ij = np.floor(cloud[:, :2] / CELL).astype(int)
-    ij -= ij.min(0)
-    grid = np.zeros(ij.max(0) + 3, bool)
-    for a in (0, 1):
-        for b in (0, 1):
-            grid[ij[:, 0] + a, ij[:, 1] + b] = True
-    number = label(grid, np.ones((3, 3)))[0][ij[:, 0], ij[:, 1]]
-    found = [cloud[number == k] for k in np.unique(number)]
-    return sorted(found, key=len, reverse=True)
+    squares, of_point = np.unique(np.floor(cloud[:, :2] / CELL).astype(int), axis=0, return_inverse=True)
+    near = cKDTree(squares).query_pairs(APART, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(squares),) * 2)
+    part = connected_components(links, directed=False)[1][of_point.ravel()]
+    return sorted((cloud[part == k] for k in np.unique(part)), key=len, reverse=True)

@@ -33,6 +33,9 @@ FOLDED = 1.65
 """Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
 
 
+UNLIKE_REMEDY = "look whether the cloud holds the whole object and nothing else; else train on this one"
+
+
 def check_object(cloud: np.ndarray, particles: np.ndarray, sizes: Sizes) -> list[str]:
     """Warnings about an object seen as a cloud [P, 3] with particles [N, 3] (m), for a model of an object of these sizes.
 
@@ -44,11 +47,25 @@ def check_object(cloud: np.ndarray, particles: np.ndarray, sizes: Sizes) -> list
         found = _table_in(cloud, sizes) or _beside(cloud, len(particles), sizes)
     if check.verdict == "good" and not found:
         return []
-    cause, remedy = found or ("this is not the trained object", check.remedy)
-    remedy = remedy or "look what the cloud holds; else train on this object"
-    if check.verdict == "bad":
+    bad = check.verdict == "bad"
+    cause, remedy = found or (f"this {'is not' if bad else 'may not be'} the trained object", UNLIKE_REMEDY)
+    if bad:
         raise DataError(f"{cause}: {check.text}", "the object now", remedy)
     return [f"{cause}: {check.text}\n  try: {remedy}"]
+
+
+def check_goal(goal: np.ndarray, count: int, sizes: Sizes) -> list[str]:
+    """A word on a goal cloud [G, 3] (m) that is no such object, or more: a goal is a wish, so it is never refused for that.
+
+    Clouds of fewer points than the object's `count` of particles are left alone: they are parts of it, or places.
+    """
+    if len(goal) < count:
+        return []
+    try:
+        said = check_object(goal, choose_particles(goal, count), sizes)
+    except DataError as error:
+        said = [f"{error.message}\n  try: {error.hint}"]
+    return [f"the goal: {text}" for text in said]
 
 
 def check_folds(particles: np.ndarray, trained: Trained, radius: float) -> list[str]:

@@ -6,6 +6,7 @@ from pydantic import BaseModel
 
 from piegraph_cli.commands.camera_results import Calibrated, Leveled, Recorded, RobotBase, Seen, Unpacked
 from piegraph_cli.experiments.told import Reproduced
+from piegraph_cli.report.told import Reported
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.results import RESULTS as OF_STAGES
 from piegraph_cli.stages.results import Error, Outcomes, Result
@@ -98,23 +99,8 @@ class Cleaned(Result):
     files: list[Waste]
 
 
-class Verdict(Result):
-    """On one part of the run."""
-
-    part: str
-    word: Literal["good", "check", "bad", "not yet"]
-    figure: str
-    """What it rests on."""
-    todo: list[str]
-    """What would make it better."""
-    command: str
-    """It makes what is not there yet; empty where all is."""
-    anchor: str
-    """Of the section of the page that shows more."""
-
-
-class Gap(Result):
-    """What is not in the report: units of a stage that share a reason."""
+class Take(Result):
+    """What became of a take."""
 
     stage: str
     state: Literal["stale", "missing", "failed", "damaged"]

@@ -14,7 +14,7 @@ from piegraph_cli.commands.survey import grouped
 from piegraph_cli.errors import UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.stages import STAGES, open_run
-from piegraph_cli.text import Line
+from piegraph_cli.text import Column, Line, Table
 from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting
 
 if TYPE_CHECKING:
@@ -134,12 +134,12 @@ def _reported(run: Path) -> Report:
     from piegraph_cli.report.page import write_report
 
     written = write_report(run, lambda names: tqdm(names, desc="report", leave=False, disable=None, delay=1))
-    lines = [
-        f"{of.part:10s} {of.word:8s} {of.figure}" + (f": {of.command}" if of.word == "not yet" else "")
-        for of in written.verdicts
+    rows = [
+        (of.part, of.word, of.figure + (f": {of.command}" if of.word == "not yet" else "")) for of in written.verdicts
     ]
+    lines: list[Line] = [Table([Column("", 10), Column("", 8), Column()], rows), str(written.path)]
     value = {"report": str(written.path), "verdicts": [asdict(of) for of in written.verdicts]}
-    return Report(value | {"left_out": [asdict(gap) for gap in written.left_out]}, [*lines, str(written.path)])
+    return Report(value | {"left_out": [asdict(gap) for gap in written.left_out]}, lines)
 
 
 def view(

@@ -108,7 +108,7 @@ def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["E
         return wanted(model.trained, params, state, state, cloud) if asked else Goal.of_particles(sample())
 
     environment = open_environment(params, model)
-    numbers = context.progress(range(params.episodes), "plan")
+    numbers = context.progress(range(params.episodes), "episodes")
     episodes = [play(environment, model.trained, params, choose, start=i, goal=i, device=model.device) for i in numbers]
     return episodes, tool_warnings(params, tool_of(environment))
 

@@ -196,6 +196,26 @@ def test_a_damaged_artifact_is_left_out_and_named_once(tmp_path, caplog):
     assert words(Page(written.path))["masks"] == "check"
 
 
+def test_images_that_cannot_be_decoded_are_named(tmp_path):
+    run = made_run(tmp_path / "run", NAMES[:2], "ingest")
+    broken = frames(0)
+    broken["color"] = broken["color"] * 0
+    put(run, "ingest", "second", broken)
+    page = Page(write_report(run.folder).path)
+    assert "colour image of frame 0, camera 0 cannot be decoded" in page.text()
+    assert sum("src" in image for image in page.all("img")) == 2, "those of the other sequence"
+
+
+def test_what_stages_warned_of_is_in_the_verdicts(tmp_path):
+    run = made_run(tmp_path / "run", NAMES)
+    keep_warnings(run, STAGES["dataset"], {None: ["no stroke in third"]})
+    keep_warnings(run, STAGES["fuse"], {"third": ["the hand never touches the object"]})
+    page = Page(write_report(run.folder).path)
+    assert (words(page)["model"], words(page)["tracks"], words(page)["plan"]) == ("check", "check", "good")
+    assert "no stroke in third" in page.text()
+    assert "third: the hand never touches the object" in page.text()
+
+
 def test_what_was_drawn_is_not_drawn_again(tmp_path, monkeypatch):
     run = made_run(tmp_path / "run", NAMES[:2])
     first = write_report(run.folder).path.read_text()

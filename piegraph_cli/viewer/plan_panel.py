@@ -62,7 +62,7 @@ class PlanPanel(Panel):
             return
         if plan is not None:
             plan.close()
-        self.layer.plan, self.note.content = None, f"no plan yet: `{opened.command('plan')}`"
+        self.layer.plan, self.note.content = None, opened.absent("plan")
         if path.exists():
             try:
                 self.layer.plan, self.note.content = Slices(path, "plan"), ""

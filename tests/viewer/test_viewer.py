@@ -182,7 +182,7 @@ def texts(viewer) -> str:
 
 @pytest.mark.parametrize(
     ("artifacts", "expected"),
-    [((), "--until ingest"), (("frames",), "--until track"), (("frames", "tracks"), "--until dataset")],
+    [((), "holds cameras.json"), (("frames",), "--until track"), (("frames", "tracks"), "--until dataset")],
 )
 def test_a_run_that_is_not_done_says_what_comes_next(server, tmp_path, artifacts, expected):
     with running(server, made.make_run(tmp_path / "run", *artifacts)) as viewer:

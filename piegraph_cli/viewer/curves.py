@@ -1,7 +1,7 @@
 """Errors over time, as curves with a line where the time line stands."""
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -64,9 +64,12 @@ class Curves:
         """Show curves (values [T], colour) over times [T]; `touched` [T] shades where the hand touches the object."""
         known = [values[np.isfinite(values)] for values, _ in curves.values()]
         self.top = 1.1 * max((float(values.max()) for values in known if len(values)), default=1.0) or 1.0
-        self.time, self.curves = time, [np.where(touched, self.top, 0.0), *(values for values, _ in curves.values())]
+        shade = [np.where(touched, self.top, 0.0)] if touched.any() else []
+        self.time, self.curves = time, [*shade, *(values for values, _ in curves.values())]
         dots = {"show": self.dots, "size": 6}
-        series = [{"label": "time"}, {"label": "touched", "fill": TOUCHED, "width": 0, "points": {"show": False}}]
+        series: list[dict[str, Any]] = [{"label": "time"}]
+        if shade:
+            series += [{"label": "touched", "fill": TOUCHED, "width": 0, "points": {"show": False}}]
         series += [
             {"label": name, "stroke": color, "width": 0 if self.dots else 2, "points": dots | {"fill": color}}
             for name, (_, color) in curves.items()

@@ -41,6 +41,8 @@ def view(folders: list[Path], sequence: str | None, port: int) -> None:
     try:
         while not ended.wait(1.0):
             pass
+    except KeyboardInterrupt:  # it ends as it was told
+        pass
     finally:
         viewer.close()
         server.stop()

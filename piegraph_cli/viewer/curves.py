@@ -41,11 +41,16 @@ def shortened(values: np.ndarray, count: int = MOST_PLACES) -> np.ndarray:
         return np.fmax.reduce(padded.reshape(-1, size), axis=1)
 
 
-def with_line(time: np.ndarray, curves: list[np.ndarray], now: float, top: float) -> tuple[np.ndarray, ...]:
-    """Data of a plot: times [T + 2], each curve with two more values at `now`, and a line from 0 to `top` there."""
+def with_line(
+    time: np.ndarray, curves: list[np.ndarray], now: float, top: float, dots: bool = False
+) -> tuple[np.ndarray, ...]:
+    """Data of a plot: times [T + 2], each curve with two more values at `now`, and a line from 0 to `top` there.
+
+    Curves that are `dots` have no values between those that they have.
+    """
     at = int(time.searchsorted(now))
-    more = [np.insert(curve, at, np.interp(now, time, curve, left=np.nan, right=np.nan)) for curve in curves]
-    more = [np.insert(curve, at, curve[at]) for curve in more]
+    between = [np.nan if dots else np.interp(now, time, curve, left=np.nan, right=np.nan) for curve in curves]
+    more = [np.insert(curve, at, [value, value]) for curve, value in zip(curves, between, strict=True)]
     line = np.full(len(time) + 2, np.nan)
     line[at : at + 2] = 0, top
     return np.insert(time, at, [now, now]), *more, line
@@ -96,7 +101,7 @@ class Curves:
     def _data(self) -> tuple[np.ndarray, ...]:
         time = self.viewer.sequence.time
         now = float(time[self.viewer.frame]) if len(time) else 0.0
-        return tuple(with_line(self.time, self.curves, now, self.top))
+        return tuple(with_line(self.time, self.curves, now, self.top, self.dots))
 
 
 class CurvePanel(Panel):

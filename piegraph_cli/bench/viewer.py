@@ -70,8 +70,16 @@ def make_long_run(folder: Path, out: Path, frames: int) -> int:
         found = read_artifact(run.path(artifact, name), artifact)
         times = -(-frames // len(found["time"]))
         count = times * len(found["time"])
-        about = {"stage": artifact, "stage_version": 1, "key": found.key, "params": found.params, "inputs": {}}
-        write_artifact(out / artifact / f"{name}.h5", artifact, _repeated(found, times), **about)
+        write_artifact(
+            out / artifact / f"{name}.h5",
+            artifact,
+            _repeated(found, times),
+            stage=artifact,
+            stage_version=1,
+            key=found.key,
+            params=found.params,
+            inputs={},
+        )
     return count
 
 

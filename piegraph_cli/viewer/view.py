@@ -41,6 +41,8 @@ def view(folders: list[Path], sequence: str | None, port: int) -> None:
     try:
         while not ended.wait(1.0):
             pass
+    except KeyboardInterrupt:  # it ends as it was told
+        pass
     finally:
         viewer.close()
         server.stop()
@@ -55,6 +57,7 @@ def make_viewer(server: "Server", runs: list["OpenRun"]) -> "Viewer":
 
     viewer = Viewer(server, runs, LAYERS)
     server.scene.add_grid("/table", width=2.0, height=2.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
+    viewer.look_at(np.zeros((0, 3)))
     _keep_shader(server)
     Timeline(viewer)
     tabs, left = server.gui.add_tab_group(), server.gui.add_panel()

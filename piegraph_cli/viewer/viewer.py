@@ -228,7 +228,8 @@ class Viewer:
     def _frame_object(self) -> None:
         """Turn the browsers to the object where another run was opened; in the same run people keep their view."""
         if len(self.sequence) and self._framed != self.opened.folder:
-            self._guarded(self.look_at_object)
+            known = self.sequence.missing("tracks") == "" or self.sequence.missing("clouds") == ""
+            self._guarded(self.look_at_object if known else self.look_at_all)
             self._framed = self.opened.folder
 
     def _places(self) -> np.ndarray:

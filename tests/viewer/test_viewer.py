@@ -54,6 +54,16 @@ def test_a_port_that_is_taken_is_refused(server):
     assert "--port" in error.value.hint
 
 
+def test_the_last_port_is_refused_too_where_it_is_taken():
+    with contextlib.ExitStack() as stack:
+        taken = stack.enter_context(socket.socket())
+        with contextlib.suppress(OSError):  # somebody else has it: that will do
+            taken.bind(("127.0.0.1", 65535))
+            taken.listen()
+        with pytest.raises(UsageError, match="65535 is taken"):
+            start_server(65535)
+
+
 def test_no_other_machine_reaches_it_and_nothing_is_shared(server):
     assert server.get_host() == "127.0.0.1"
     assert server.request_share_url() is None
@@ -172,7 +182,7 @@ def texts(viewer) -> str:
 
 @pytest.mark.parametrize(
     ("artifacts", "expected"),
-    [((), "--until ingest"), (("frames",), "--until track"), (("frames", "tracks"), "--until dataset")],
+    [((), "holds cameras.json"), (("frames",), "--until track"), (("frames", "tracks"), "--until dataset")],
 )
 def test_a_run_that_is_not_done_says_what_comes_next(server, tmp_path, artifacts, expected):
     with running(server, made.make_run(tmp_path / "run", *artifacts)) as viewer:

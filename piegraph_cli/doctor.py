@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from piegraph_cli.weights import WEIGHTS, cache_folder
 
-REQUIRED = ("torch", "open3d", "mediapipe", "cv2", "segment_anything", "h5py", "scipy", "matplotlib", "warp")
+REQUIRED = ("torch", "open3d", "mediapipe", "cv2", "segment_anything", "h5py", "scipy", "matplotlib", "warp", "jinja2")
 OPTIONAL = {
     **dict.fromkeys(("pymunk", "mujoco", "gymnasium", "trimesh", "embreex", "skimage"), "sim"),
     "rosbags": "ros",

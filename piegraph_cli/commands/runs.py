@@ -1,5 +1,6 @@
 """Commands on whole runs: running a recipe, and looking at what there is."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -200,13 +201,28 @@ def _cleaned(run: "Run", yes: bool) -> Report:
 
 
 def report(run: RunFolder, as_json: AsJson = False) -> None:
-    """Draw a run's pictures into RUN/report."""
-    from piegraph_cli.report.draw import draw_report
+    """Write a run's report into RUN/report/index.html.
 
+    One file for any browser, with verdicts, tables, pictures of all sequences, plots, and how to make it again.
+    """
     require_run(run)
     with logging_to(run):
-        files = draw_report(run)
-    emit(Report({"pictures": [str(f) for f in files]}, [str(f) for f in files]), as_json)
+        emit(_reported(run), as_json)
+
+
+def _reported(run: Path) -> Report:
+    """What `report` prints: a word on each part of the run, and where the page is."""
+    from tqdm import tqdm
+
+    from piegraph_cli.report.page import write_report
+
+    written = write_report(run, lambda names: tqdm(names, desc="report", leave=False, disable=None, delay=1))
+    lines = [
+        f"{of.part:10s} {of.word:8s} {of.figure}" + (f": {of.command}" if of.word == "not yet" else "")
+        for of in written.verdicts
+    ]
+    value = {"report": str(written.path), "verdicts": [asdict(of) for of in written.verdicts]}
+    return Report(value | {"left_out": [asdict(gap) for gap in written.left_out]}, [*lines, str(written.path)])
 
 
 def view(

@@ -90,7 +90,7 @@ def _run(stage: Stage, run: "Run", options: "Options") -> Report:
 def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) -> Report:
     """Run the stage in a folder that borrows what the run has: nothing is written into it. The artifact is kept in `out`."""
     written = f"{stage.writes}.h5"
-    own = {written, "run.log", "failures.json", ".locks", ".known.json"}
+    own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json"}
     with tempfile.TemporaryDirectory(prefix="piegraph-") as made:
         folder = Path(made)
         for entry in run.folder.resolve().iterdir():

@@ -55,6 +55,11 @@ class Sequences:
         first = self.strokes[:, 0]
         return np.linalg.norm(self.positions[first, :, :2] - self.hand[first, None], axis=-1).argmin(-1)
 
+    def states(self, most: int) -> np.ndarray:
+        """At most so many states [S, N, 3] (m) of the object, spread over its strokes, their ends among them."""
+        frames = np.unique(np.concatenate([np.arange(first, last + 1) for first, last in self.strokes]))
+        return self.positions[frames[np.unique(np.linspace(0, len(frames) - 1, most).astype(int))]]
+
     def whole(self) -> Strokes:
         """All strokes [S] from their first to their last frame."""
         first, last = self.strokes.T

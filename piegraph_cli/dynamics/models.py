@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -29,6 +30,7 @@ from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
+from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.springs import build_springs
 
@@ -50,6 +52,10 @@ class Trained:
     """Of the strokes it was trained on: 0 push, 1 pick."""
     particles: int
     """Of the objects it was trained on."""
+    rest: np.ndarray | None = None
+    """[N, 3] metres: such an object before its first stroke; None where it is not known."""
+    sizes: Sizes | None = None
+    """How large it was, in all states that were seen."""
 
 
 @dataclass(frozen=True)

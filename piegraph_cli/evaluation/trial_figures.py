@@ -78,7 +78,7 @@ def _deltas(head: str, comparisons: Sequence[dict[str, Any]], of: Callable[[dict
     for comparison in comparisons:
         if comparison["pairs"]:
             delta, low, high = of(comparison)
-            lines.append(f"$\\delta$ = {delta:+.2f} [{low:+.2f}, {high:+.2f}] over {comparison['second']}")
+            lines.append(f"δ = {delta:+.2f} [{low:+.2f}, {high:+.2f}] over {comparison['second']}")
     return "\n".join(lines)
 
 

@@ -39,7 +39,7 @@ def error_grid(metrics: dict[str, Metrics]) -> Figure:
     grid = figure.subplots(2, len(metrics), squeeze=False)
     for column, (env, of) in zip(grid.T, metrics.items(), strict=True):
         rows = summarise(of)
-        for axes, metric, unit in zip(column, ("pd", "cd+s"), ("cm", "cm and cm$^2$"), strict=True):
+        for axes, metric, unit in zip(column, ("pd", "cd+s"), ("cm", "cm and cm²"), strict=True):
             for model in of:
                 own = [row for row in rows if row["model"] == model]
                 mean, low, high = np.array([row[metric] for row in own]).T

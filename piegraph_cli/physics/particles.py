@@ -53,11 +53,36 @@ class Size:
 
 def size_of(particles: np.ndarray) -> Size:
     """The size of an object by its particles [N, 3] (m), N at least 2, spread as `choose_particles` does."""
-    import cv2
-
-    sides = cv2.minAreaRect(np.ascontiguousarray(particles[:, :2], np.float32))[1]
+    length, width = _rectangle(particles[:, :2].astype(float))
     spacing = cKDTree(particles).query(particles, k=2)[0][:, 1].mean()
-    return Size(max(sides), min(sides), float(np.percentile(particles[:, 2], 95)), float(spacing))
+    return Size(length, width, float(np.percentile(particles[:, 2], 95)), float(spacing))
+
+
+def _rectangle(points: np.ndarray) -> tuple[float, float]:
+    """Longer and shorter side of the rectangle of least area around points [N, 2]; one side lies along their hull."""
+    ordered = points[np.lexsort(points.T[::-1])]
+    corners = np.array(_chain(ordered) + _chain(ordered[::-1]))
+    edges = np.roll(corners, -1, 0) - corners
+    along = edges[np.linalg.norm(edges, axis=1) > 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.stack([-along[:, 1], along[:, 0]], 1)
+    sides = np.stack([np.ptp(corners @ axes.T, axis=0) for axes in (along, across)], 1)
+    best = sides[sides.prod(1).argmin()] if len(sides) else np.zeros(2)
+    return float(best.max()), float(best.min())
+
+
+def _chain(points: np.ndarray) -> list[np.ndarray]:
+    """One side of the convex hull of points [N, 2] in their order, without the last one. Source: Andrew (1979)."""
+    kept: list[np.ndarray] = []
+    for point in points:
+        while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0:
+            kept.pop()
+        kept.append(point)
+    return kept[:-1]
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 @dataclass(frozen=True)
@@ -72,6 +97,15 @@ class Sizes:
         """Of an object in several states, particles [N, 3] (m) each."""
         rows = np.array([list(vars(size_of(state)).values()) for state in states])
         return cls(Size(*map(float, rows.min(0))), Size(*map(float, rows.max(0))))
+
+    @classmethod
+    def of_array(cls, rows: np.ndarray) -> "Sizes":
+        """From what `array` gave."""
+        return cls(*(Size(*map(float, row)) for row in rows))
+
+    def array(self) -> np.ndarray:
+        """[2, 4] metres: smallest and largest length, width, height and spacing."""
+        return np.array([list(vars(size).values()) for size in (self.least, self.most)])
 
     def apart(self, size: Size) -> dict[str, float]:
         """By which factor a size lies beyond what was seen, 1 for what lies within, for each measure."""

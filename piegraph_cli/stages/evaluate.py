@@ -30,7 +30,7 @@ def _settings(run: "Run", unit: str) -> ModelEvaluateParams:
 def _inputs(run: "Run", unit: Unit) -> Inputs:
     """The dataset, the trained model where one is used, and the scores that there are: a real recording has none."""
     model = train.trained_name(str(unit))
-    scored = [name for name in run.made("scores") if run.fresh(score.STAGE, name)]
+    scored = [name for name in run.made("scores") if run.fresh(score.STAGE, name) and score.told_by_truth(run, name)]
     return {"dataset": None} | ({"model": model} if model else {}) | ({"scores": scored} if scored else {})
 
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import mode_word
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.stages import train
 from piegraph_cli.workspace.call import Call
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from piegraph_cli.planning.episode import Episode
     from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
+    from piegraph_cli.planning.question import Answer
     from piegraph_cli.workspace.run import Run
 
 
@@ -46,8 +46,6 @@ def _settings(run: "Run", unit: Unit) -> PlanParams:
 
 SAME = 1e-6
 """Metres, and parts of a rotation, within which the robot stands where it stood in another recording."""
-HIGH = 0.05
-"""Metres above the table at which nothing lies on it."""
 
 STAGE = Stage(
     "plan",
@@ -77,6 +75,7 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.planning.told import plan_arrays
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
     from piegraph_cli.stages.steps import open_environment
@@ -88,8 +87,9 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is not None:
         state, warnings = _state(params, context)
-        warnings += _above_table(state, params)
-        episodes = [_plan_once(model, params, state)]
+        found = _answer(model, params, state)
+        warnings += [f"{params.state}: {warning}" for warning in found.warnings]
+        episodes: list[Episode] = [found]
     else:
 
         def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
@@ -99,7 +99,7 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
         numbers = context.progress(range(params.episodes), "plan")
         episodes = [play(environment, trained, params, wanted, start=i, goal=i, device=model.device) for i in numbers]
         warnings = tool_warnings(params, tool_of(environment))
-    arrays = _arrays(episodes, params)
+    arrays = plan_arrays(episodes, params.seed)
     return Output(arrays, _quality(arrays, params), warnings)
 
 
@@ -135,10 +135,12 @@ def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str
     return seen.cloud, [f"{params.state}: {finding.text}" for finding in seen.findings]
 
 
-def _plan_once(model: "Model", params: PlanParams, state: "np.ndarray") -> "Episode":
+def _answer(model: "Model", params: PlanParams, state: "np.ndarray") -> "Answer":
+    from piegraph_cli.planning.question import answer
+
     goal = _cloud(*params.goal_file(), params) if params.goal is not None else None
     try:
-        return model.plan(state, goal=goal, goal_pose=params.goal_pose)
+        return answer(model.trained, params, state, goal, device=model.device)
     except DataError as error:
         asked = f"{params.state}, {'--goal ' + params.goal if params.goal else '--goal-pose'}"
         raise DataError(error.message, asked, error.hint) from None
@@ -157,20 +159,6 @@ def _cloud(file: "Path", frame: int | None, params: PlanParams) -> "np.ndarray":
     return moved(points, np.linalg.inv(level(params.table or (0, 0, 0))))
 
 
-def _above_table(state: "np.ndarray", params: PlanParams) -> list[str]:
-    """A word on an object that cannot lie on the table."""
-    from piegraph_cli.recording.ground import level, moved
-
-    heights = moved(state, level(params.table or (0, 0, 0)))[:, 2]
-    low, high = float(heights.min()), float(heights.max())
-    if high > 0 and low < HIGH:
-        return []
-    where = f"{1000 * low:.0f} mm above" if low >= HIGH else f"{-1000 * high:.0f} mm and more below"
-    return [
-        f"the object of {params.state} lies {where} the table\n  try: --table HEIGHT, where the table is not at z = 0"
-    ]
-
-
 def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
     """The goal that the settings name, for the object's particles now [N, 3] (m)."""
     from piegraph_cli.planning.goals import Goal, move_in_plane
@@ -181,22 +169,6 @@ def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
     if params.goal_pose is not None:
         return Goal.of_particles(move_in_plane(state, params.goal_pose))
     return None
-
-
-def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndarray"]:
-    import numpy as np
-
-    from piegraph_cli.stages.steps import step_arrays
-
-    particles = len(episodes[0].start)
-    return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
-        "goal": np.array([episode.goal for episode in episodes]),
-        "metric": np.array([episode.metric for episode in episodes]),
-        "seed": np.full(len(episodes), params.seed),
-        "start_distance": np.array([episode.start_distance for episode in episodes]),
-        "end_distance": np.array([episode.end_distance for episode in episodes]),
-        "episode": np.repeat(np.arange(len(episodes)), [len(episode.steps) for episode in episodes]),
-    }
 
 
 def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
@@ -218,22 +190,17 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     """A run's plan as one object and as lines for people; strokes are in the frame that was asked for, metres."""
     import numpy as np
 
+    from piegraph_cli.planning.told import stroke_rows
+
     plan = run.read(STAGE.writes)
     params = _settings(run, None)
     T = told_in(run, params)
-    rows, lines = [], [plan.quality]
-    for k, ends in enumerate(plan["stroke"]):
-        episode = int(plan["episode"][k])
-        row: dict[str, Any] = {"episode": episode, "mode": mode_word(int(plan["mode"][k]))}
-        row |= stroke_in(T, ends)
-        row |= {"predicted_distance": float(plan["cost"][k])}
-        if np.isfinite(plan["distance"][k]):
-            row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}
-        rows.append(row)
+    rows, lines = stroke_rows(plan.arrays, T), [plan.quality]
+    for row in rows:
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
         start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(
-            f"episode {episode}: {row['mode']} from ({start}) to ({end}) m, "
+            f"episode {row['episode']}: {row['mode']} from ({start}) to ({end}) m, "
             f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{reached}"
         )
     if params.frame == "robot":
@@ -272,25 +239,3 @@ def _cameras_file(run: "Run", params: PlanParams) -> "Path":
     if odd:
         raise UsageError(f"the robot stands elsewhere in {odd[0]}", str(files[0]), "give --cameras FILE")
     return files[0]
-
-
-def stroke_in(T: "np.ndarray | None", ends: "np.ndarray") -> dict[str, Any]:
-    """A stroke's ends [2, 2] (m) as they are told: on the table (two numbers), or by T [4, 4] in another frame.
-
-    There they have three numbers each, and `quaternion_xyzw` turns that frame's axes to x along the stroke and z up from
-    the table; `yaw` (rad) is the stroke's heading about that frame's z.
-    """
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    if T is None:
-        return {"start": ends[0].tolist(), "end": ends[1].tolist()}
-    start, end = (T[:3, :3] @ [*xy, 0] + T[:3, 3] for xy in ends.astype(float))
-    up, along = T[:3, 2], (end - start) / np.linalg.norm(end - start)
-    turn = Rotation.from_matrix(np.column_stack([along, np.cross(up, along), up]))
-    return {
-        "start": start.tolist(),
-        "end": end.tolist(),
-        "yaw": float(np.arctan2(along[1], along[0])),
-        "quaternion_xyzw": turn.as_quat(canonical=True).tolist(),
-    }

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 BENT = 0.005
 """Metres from a rigid motion above which the user of `rigid` is warned."""
 
+STATES = 400
+"""States of the object, spread over its strokes, that tell how large it is."""
+
 RECORDS = 20
 """Losses are noted this many times in a training."""
 
@@ -140,7 +143,7 @@ STAGE = Stage(
     ("dataset",),
     "model",
     TrainParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.train:run",
     unit="model",
     units=_units,
@@ -165,6 +168,7 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     from piegraph_cli.dynamics.rigid_body import RigidBody
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
+    from piegraph_cli.physics.particles import Sizes
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_sequences
 
@@ -178,6 +182,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
         "particles": np.array(data.positions.shape[1]),
         "modes": np.unique(data.mode),
         "pace": np.array(data.pace),
+        "rest": data.rest[0],
+        "size": Sizes.of(data.states(STATES)).array(),
     }
     if isinstance(network, RigidBody):
         return _fit_body(network, data, about)

@@ -103,9 +103,10 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     from piegraph_cli.planning.episode import play, tool_of
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.planning.told import step_arrays
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
-    from piegraph_cli.stages.steps import open_environment, step_arrays
+    from piegraph_cli.stages.steps import open_environment
 
     set_up_torch()
     model = _read_model(params)

@@ -9,6 +9,7 @@ from piegraph_cli.viewer.arrays import (
     MOST_POINTS,
     NO_LINES,
     NO_POINTS,
+    UNKNOWN,
     cloud_colors,
     rgb,
     segments,
@@ -35,7 +36,7 @@ class Cloud(Layer):
         assert clouds is not None
         self.clouds, self.offsets = clouds, clouds["offsets"]
         self.points = self.scene.add_point_cloud(
-            f"{self.root}/points", NO_POINTS, NO_POINTS, point_size=0.002, point_shape="square", point_shading="flat"
+            f"{self.root}/points", NO_POINTS, UNKNOWN, point_size=0.002, point_shape="square", point_shading="flat"
         )
         most = int(np.diff(self.offsets).max(initial=0))
         self.note = f"clouds of up to {most:,} points are thinned to {MOST_POINTS:,}" if most > MOST_POINTS else ""
@@ -43,7 +44,9 @@ class Cloud(Layer):
     def draw(self, frame: int) -> None:
         """Draw the points of a frame."""
         points = thinned(self.clouds.rows("points", *map(int, self.offsets[frame : frame + 2])))
-        self.points.points, self.points.colors = points, cloud_colors(points, self.viewer.pictures.at(frame))
+        self.points.points = points
+        if len(points):  # no colours are none that the browser takes
+            self.points.colors = cloud_colors(points, self.viewer.pictures.at(frame))
 
 
 class Particles(Layer):

@@ -15,6 +15,7 @@ from piegraph_cli.files import remove_leftovers
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
 from piegraph_cli.workspace.parallel import each
 from piegraph_cli.workspace.run import Run
+from piegraph_cli.workspace.said import keep_warnings
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -112,6 +113,7 @@ def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
             # what was not made yet is no failure: once it is there, the same key is to be tried
             failed = {o.unit: o.error for o in outcomes if o.error and not isinstance(o.error, InputError)}
             run.record_failures(stage, todo, failed)
+            keep_warnings(run, stage, {o.unit: o.warnings for o in outcomes if o.state == "done"})
         except DataError as full:  # a full disk: the outcomes still count
             log.error("%s", full)
     for unit, why in left_out.items():

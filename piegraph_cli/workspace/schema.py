@@ -23,7 +23,16 @@ class Field:
     """Whether an artifact may do without."""
 
 
-FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
+FIXED_AXES = {
+    "xyz": 3,
+    "xy": 2,
+    "wh": 2,
+    "first_last": 2,
+    "landmark": 21,
+    "start_end": 2,
+    "least_most": 2,
+    "measure": 4,
+}
 """Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
 
 TEXT, LONG_TEXT = "S128", "S512"
@@ -134,6 +143,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "particles": Field("", "1", "int64"),
         "modes": Field("mode", "0 push, 1 pick", "uint8"),
         "pace": Field("", "m a frame", "float64"),
+        "rest": Field("rest_particle,xyz", "m", "float32"),
+        "size": Field("least_most,measure", "m", "float64"),
         "step": Field("record", "1", "int64"),
         "train_loss": Field("record", "the model's own", "float64"),
         "validation_loss": Field("record", "the model's own", "float64", nan=True),

@@ -23,7 +23,7 @@ ROWS = ("frame", "point", "color_byte", "mask_byte")
 
 
 def viewer_rows(folder: Path | None, frames: int = FRAMES) -> Iterator[Row]:
-    """Seconds in this process from a run folder to its first frame, and of a frame, one after the other and anywhere.
+    """Processor seconds from a run folder to its first frame, and of a frame, one after the other and anywhere.
 
     What a browser takes to draw is not in it.
     """
@@ -36,13 +36,13 @@ def viewer_rows(folder: Path | None, frames: int = FRAMES) -> Iterator[Row]:
     assert folder is not None
     with tempfile.TemporaryDirectory(prefix="piegraph") as made:
         count = make_long_run(folder, Path(made), frames)
-        begin = time.perf_counter()
+        begin = time.process_time()
         server, opened = start_server(0), OpenRun.of(Path(made))
         viewer = Viewer(server, [opened], LAYERS)
         try:
             add_panels(viewer)
             viewer.open(opened, opened.names[0])
-            yield Row("view", f"open, {count} frames", time.perf_counter() - begin)
+            yield Row("view", f"open, {count} frames", time.process_time() - begin)
             anywhere = np.random.default_rng(0).integers(0, count, DRAWN)
             for case, shown in (("one after another", np.arange(DRAWN) % count), ("anywhere", anywhere)):
                 yield Row("view", f"frame, {case}", float(np.median([_seconds(viewer, int(f)) for f in shown])))
@@ -52,9 +52,9 @@ def viewer_rows(folder: Path | None, frames: int = FRAMES) -> Iterator[Row]:
 
 
 def _seconds(viewer, frame: int) -> float:
-    begin = time.perf_counter()
+    begin = time.process_time()
     viewer.draw_frame(frame)
-    return time.perf_counter() - begin
+    return time.process_time() - begin
 
 
 def make_long_run(folder: Path, out: Path, frames: int) -> int:

@@ -99,25 +99,6 @@ class Cleaned(Result):
     files: list[Waste]
 
 
-class Take(Result):
-    """What became of a take."""
-
-    stage: str
-    state: Literal["stale", "missing", "failed", "damaged"]
-    units: list[str]
-    why: str
-    command: str
-
-
-class Reported(Result):
-    """The page, and what it says first."""
-
-    report: str
-    """File."""
-    verdicts: list[Verdict]
-    left_out: list[Gap]
-
-
 class Serving(Result):
     """What `serve` says at once, when it can be asked; what it answers is in docs/robot.md."""
 

@@ -21,7 +21,7 @@ from tests.cli import SAMPLE
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'piegraph[view]'")
 
-SIZE = {"width": 1160, "height": 560}
+SIZE = {"width": 1080, "height": 460}
 FOV = np.radians(75)
 """Of the viewer's camera, from bottom to top."""
 TOUCHED = 12

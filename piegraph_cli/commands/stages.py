@@ -109,6 +109,8 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
         for entry in run.folder.resolve().iterdir():
             if entry.name not in own:
                 (folder / entry.name).symlink_to(entry)
+            elif entry.name == ".known.json":  # what was read of files is known there, too, and may change there
+                shutil.copyfile(entry, folder / entry.name)
         with logging_to(folder):
             report = _run(stage, open_run(folder, run.recipe), options)
             if out is None:

@@ -89,10 +89,12 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="SUBJECT ...",
-            help="sms, egnn, plan, track, train, workspace, perception [default: all; perception only with --run]",
+            help="sms, egnn, plan, track, train, workspace, perception, view [default: all; the last two only with --run]",
         ),
     ] = None,
-    run: Annotated[Path | None, typer.Option(help="run folder with a recording's results, for perception")] = None,
+    run: Annotated[
+        Path | None, typer.Option(help="run folder with a recording's results, for perception and view")
+    ] = None,
     against: Annotated[
         Path | None, typer.Option(help="checkout of another commit with a .venv, to compare perception with")
     ] = None,

@@ -55,10 +55,10 @@ class Sequences:
         first = self.strokes[:, 0]
         return np.linalg.norm(self.positions[first, :, :2] - self.hand[first, None], axis=-1).argmin(-1)
 
-    def at_rest(self, most: int) -> np.ndarray:
-        """At most so many states [S, N, 3] (m) of the object: those at the ends of strokes, where nothing lifts it."""
+    def at_rest(self, most: int) -> list[np.ndarray]:
+        """At most so many states [N, 3] (m) of the object: those at the ends of strokes, where nothing lifts it."""
         frames = np.unique(self.strokes)
-        return self.positions[frames[np.unique(np.linspace(0, len(frames) - 1, most).astype(int))]]
+        return list(self.positions[frames[np.unique(np.linspace(0, len(frames) - 1, most).astype(int))]])
 
     def whole(self) -> Strokes:
         """All strokes [S] from their first to their last frame."""

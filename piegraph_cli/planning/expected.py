@@ -5,15 +5,20 @@ arrays, where no image tells what else is in them.
 """
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError
-from piegraph_cli.perception.judgement import check_size
+from piegraph_cli.perception.size import check_size
 from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
 from piegraph_cli.physics.springs import build_springs
 
 CELL = 0.01
 """Metres: side of the squares of the table by which areas are compared."""
+APART = 2
+"""Squares from one to the next of the same thing, at most."""
 ON_TABLE = 0.005
 """Metres from z = 0 within which a point may be the table's."""
 RIM = 0.4
@@ -28,6 +33,9 @@ FOLDED = 1.65
 """Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
 
 
+UNLIKE_REMEDY = "look whether the cloud holds the whole object and nothing else; else train on this one"
+
+
 def check_object(cloud: np.ndarray, particles: np.ndarray, sizes: Sizes) -> list[str]:
     """Warnings about an object seen as a cloud [P, 3] with particles [N, 3] (m), for a model of an object of these sizes.
 
@@ -39,11 +47,25 @@ def check_object(cloud: np.ndarray, particles: np.ndarray, sizes: Sizes) -> list
         found = _table_in(cloud, sizes) or _beside(cloud, len(particles), sizes)
     if check.verdict == "good" and not found:
         return []
-    cause, remedy = found or ("this is not the trained object", check.remedy)
-    remedy = remedy or "look what the cloud holds; else train on this object"
-    if check.verdict == "bad":
+    bad = check.verdict == "bad"
+    cause, remedy = found or (f"this {'is not' if bad else 'may not be'} the trained object", UNLIKE_REMEDY)
+    if bad:
         raise DataError(f"{cause}: {check.text}", "the object now", remedy)
     return [f"{cause}: {check.text}\n  try: {remedy}"]
+
+
+def check_goal(goal: np.ndarray, count: int, sizes: Sizes) -> list[str]:
+    """A word on a goal cloud [G, 3] (m) that is no such object, or more: a goal is a wish, so it is never refused for that.
+
+    Clouds of fewer points than the object's `count` of particles are left alone: they are parts of it, or places.
+    """
+    if len(goal) < count:
+        return []
+    try:
+        said = check_object(goal, choose_particles(goal, count), sizes)
+    except DataError as error:
+        said = [f"{error.message}\n  try: {error.hint}"]
+    return [f"the goal: {text}" for text in said]
 
 
 def check_folds(particles: np.ndarray, trained: Trained, radius: float) -> list[str]:
@@ -111,14 +133,8 @@ def _fits(part: np.ndarray, count: int, sizes: Sizes) -> bool:
 
 def _parts(cloud: np.ndarray) -> list[np.ndarray]:
     """The parts of a cloud [P, 3] between which two squares of the table are empty, the one with most points first."""
-    from scipy.ndimage import label
-
-    ij = np.floor(cloud[:, :2] / CELL).astype(int)
-    ij -= ij.min(0)
-    grid = np.zeros(ij.max(0) + 3, bool)
-    for a in (0, 1):
-        for b in (0, 1):
-            grid[ij[:, 0] + a, ij[:, 1] + b] = True
-    number = label(grid, np.ones((3, 3)))[0][ij[:, 0], ij[:, 1]]
-    found = [cloud[number == k] for k in np.unique(number)]
-    return sorted(found, key=len, reverse=True)
+    squares, of_point = np.unique(np.floor(cloud[:, :2] / CELL).astype(int), axis=0, return_inverse=True)
+    near = cKDTree(squares).query_pairs(APART, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(squares),) * 2)
+    part = connected_components(links, directed=False)[1][of_point.ravel()]
+    return sorted((cloud[part == k] for k in np.unique(part)), key=len, reverse=True)

@@ -13,7 +13,7 @@ from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
-from piegraph_cli.planning.expected import check_folds, check_object
+from piegraph_cli.planning.expected import check_folds, check_goal, check_object
 from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.recording.ground import level, moved
@@ -69,7 +69,10 @@ def answer(
     T = level(params.table or (0, 0, 0))
     cloud = moved(finite(state, "state"), T)
     seen, warnings = _particles(cloud, trained, params, rest)
-    target = wanted(trained, params, cloud, seen, None if goal is None else moved(finite(goal, "goal"), T), corresponds)
+    there = None if goal is None else moved(finite(goal, "goal"), T)
+    target = wanted(trained, params, cloud, seen, there, corresponds)
+    if there is not None and trained is not None and trained.sizes is not None:
+        warnings += check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
     shape = seen if rest is None else moved(finite(rest, "rest"), T)
     found = plan_once(trained, seen, target, params, device, shape)
     return Answer(**vars(found), warnings=tuple(warnings))

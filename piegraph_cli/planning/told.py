@@ -146,10 +146,10 @@ def stroke_in(T: np.ndarray | None, ends: np.ndarray) -> dict[str, Any]:
     There they have three numbers each, and `quaternion_xyzw` turns that frame's axes to x along the stroke and z up from
     the table; `yaw` (rad) is the stroke's heading about that frame's z.
     """
-    from scipy.spatial.transform import Rotation
-
     if T is None:
         return {"start": ends[0].tolist(), "end": ends[1].tolist()}
+    from scipy.spatial.transform import Rotation
+
     start, end = (T[:3, :3] @ [*xy, 0] + T[:3, 3] for xy in ends.astype(float))
     up, along = T[:3, 2], (end - start) / np.linalg.norm(end - start)
     turn = Rotation.from_matrix(np.column_stack([along, np.cross(up, along), up]))

@@ -71,40 +71,46 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
-    from piegraph_cli.planning.episode import play, tool_of
-    from piegraph_cli.planning.goals import Goal
-    from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.planner import tool_warnings
-    from piegraph_cli.planning.question import wanted
-    from piegraph_cli.planning.told import plan_arrays
-    from piegraph_cli.process import choose_device, set_up_torch
-    from piegraph_cli.stages.learning import read_model
-    from piegraph_cli.stages.points import read_points
-    from piegraph_cli.stages.steps import open_environment
+    from piegraph_cli.process import choose_device, imports_at_once, set_up_torch
 
     _check_question(context.run, params)
+    with imports_at_once():
+        from piegraph_cli.planning.model import Model
+        from piegraph_cli.planning.told import plan_arrays
+        from piegraph_cli.stages.learning import read_model
     set_up_torch()
     trained = read_model(inputs["model"]) if "model" in inputs else None
-    warnings: list[str] = []
     model = Model(params.model, trained, params, choose_device(context.device))
-    if params.state is not None:
+    if params.state is None:
+        episodes, warnings = _play(model, params, context)
+    else:
         state, warnings = _state(params, context)
         found = _answer(model, params, state)
         warnings += [f"{params.state}: {warning}" for warning in found.warnings]
-        episodes: list[Episode] = [found]
-    else:
-        cloud = read_points(*params.goal_place()) if params.goal is not None else None
-        asked = cloud is not None or params.goal_pose is not None or params.goal_at is not None
-
-        def choose(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
-            return wanted(trained, params, state, state, cloud) if asked else Goal.of_particles(sample())
-
-        environment = open_environment(params, model)
-        numbers = context.progress(range(params.episodes), "episodes")
-        episodes = [play(environment, trained, params, choose, start=i, goal=i, device=model.device) for i in numbers]
-        warnings = tool_warnings(params, tool_of(environment))
+        episodes = [found]
     arrays = plan_arrays(episodes, params)
     return Output(arrays, _quality(arrays, params), warnings)
+
+
+def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["Episode"], list[str]]:
+    """Closed loop in the environment `params.env`, and what is to be said of the tool."""
+    from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.goals import Goal
+    from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.planning.question import wanted
+    from piegraph_cli.stages.points import read_points
+    from piegraph_cli.stages.steps import open_environment
+
+    cloud = read_points(*params.goal_place()) if params.goal is not None else None
+    asked = cloud is not None or params.goal_pose is not None or params.goal_at is not None
+
+    def choose(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
+        return wanted(model.trained, params, state, state, cloud) if asked else Goal.of_particles(sample())
+
+    environment = open_environment(params, model)
+    numbers = context.progress(range(params.episodes), "episodes")
+    episodes = [play(environment, model.trained, params, choose, start=i, goal=i, device=model.device) for i in numbers]
+    return episodes, tool_warnings(params, tool_of(environment))
 
 
 def _check_question(run: "Run", params: PlanParams) -> None:

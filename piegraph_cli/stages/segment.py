@@ -87,6 +87,8 @@ def foresee_masks(
     """
     from piegraph_cli.perception.object_masks import follow_object, seed_object
 
+    if "mask" in frames.arrays and not params.prompts and not params.points:
+        return 0, _recorded_masks(frames, 0), []
     given = _given(frames, hands, params)
     seed = seed_object(*given)
     masks = follow_object(*given, seed, within=range(seed.frame, seed.frame + 1))
@@ -116,19 +118,25 @@ def _picture(seed: "ObjectSeed", color, cameras, context: Context) -> list[str]:
     return [f"{path} shows what was taken (1) and what else lies there"]
 
 
+def _recorded_masks(frames: "Artifact", frame: int) -> list["np.ndarray"]:
+    """The masks of a frame that came with the recording."""
+    import numpy as np
+
+    from piegraph_cli.recording.images import ImageStack
+
+    sizes = frames["image_size"]
+    stack = ImageStack(frames["mask"], frames["mask_offsets"], len(sizes), "mask")
+    return [stack.mask(frame, c) if stack.has(frame, c) else np.zeros(size[::-1], bool) for c, size in enumerate(sizes)]
+
+
 def _recorded(frames: "Artifact") -> Output:
     """The masks that came with the recording; empty ones for images without."""
     import numpy as np
 
-    from piegraph_cli.recording.images import ImageStack, encode_masks
+    from piegraph_cli.recording.images import encode_masks
 
-    sizes, count = frames["image_size"], len(frames["time"])
-    stack = ImageStack(frames["mask"], frames["mask_offsets"], len(sizes), "mask")
-    masks = [
-        stack.mask(f, c) if stack.has(f, c) else np.zeros(sizes[c][::-1], bool)
-        for f in range(count)
-        for c in range(len(sizes))
-    ]
+    count = len(frames["time"])
+    masks = [mask for f in range(count) for mask in _recorded_masks(frames, f)]
     area = np.array([mask.sum() for mask in masks]).reshape(count, -1)
     data, offsets = encode_masks(masks)
     quality = f"masks of the recording, in {(area > 0).mean():.0%} of the images, {np.median(area):.0f} px"

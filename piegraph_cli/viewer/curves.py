@@ -1,7 +1,7 @@
 """Errors over time, as curves with a line where the time line stands."""
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -41,11 +41,16 @@ def shortened(values: np.ndarray, count: int = MOST_PLACES) -> np.ndarray:
         return np.fmax.reduce(padded.reshape(-1, size), axis=1)
 
 
-def with_line(time: np.ndarray, curves: list[np.ndarray], now: float, top: float) -> tuple[np.ndarray, ...]:
-    """Data of a plot: times [T + 2], each curve with two more values at `now`, and a line from 0 to `top` there."""
+def with_line(
+    time: np.ndarray, curves: list[np.ndarray], now: float, top: float, dots: bool = False
+) -> tuple[np.ndarray, ...]:
+    """Data of a plot: times [T + 2], each curve with two more values at `now`, and a line from 0 to `top` there.
+
+    Curves that are `dots` have no values between those that they have.
+    """
     at = int(time.searchsorted(now))
-    more = [np.insert(curve, at, np.interp(now, time, curve, left=np.nan, right=np.nan)) for curve in curves]
-    more = [np.insert(curve, at, curve[at]) for curve in more]
+    between = [np.nan if dots else np.interp(now, time, curve, left=np.nan, right=np.nan) for curve in curves]
+    more = [np.insert(curve, at, [value, value]) for curve, value in zip(curves, between, strict=True)]
     line = np.full(len(time) + 2, np.nan)
     line[at : at + 2] = 0, top
     return np.insert(time, at, [now, now]), *more, line
@@ -64,9 +69,12 @@ class Curves:
         """Show curves (values [T], colour) over times [T]; `touched` [T] shades where the hand touches the object."""
         known = [values[np.isfinite(values)] for values, _ in curves.values()]
         self.top = 1.1 * max((float(values.max()) for values in known if len(values)), default=1.0) or 1.0
-        self.time, self.curves = time, [np.where(touched, self.top, 0.0), *(values for values, _ in curves.values())]
+        shade = [np.where(touched, self.top, 0.0)] if touched.any() else []
+        self.time, self.curves = time, [*shade, *(values for values, _ in curves.values())]
         dots = {"show": self.dots, "size": 6}
-        series = [{"label": "time"}, {"label": "touched", "fill": TOUCHED, "width": 0, "points": {"show": False}}]
+        series: list[dict[str, Any]] = [{"label": "time"}]
+        if shade:
+            series += [{"label": "touched", "fill": TOUCHED, "width": 0, "points": {"show": False}}]
         series += [
             {"label": name, "stroke": color, "width": 0 if self.dots else 2, "points": dots | {"fill": color}}
             for name, (_, color) in curves.items()
@@ -93,7 +101,7 @@ class Curves:
     def _data(self) -> tuple[np.ndarray, ...]:
         time = self.viewer.sequence.time
         now = float(time[self.viewer.frame]) if len(time) else 0.0
-        return tuple(with_line(self.time, self.curves, now, self.top))
+        return tuple(with_line(self.time, self.curves, now, self.top, self.dots))
 
 
 class CurvePanel(Panel):

@@ -23,7 +23,7 @@ class Hand(Layer):
 
     def missing(self) -> str:
         """Whatever tells where the end-effector is will do."""
-        return "" if self._path() else self.viewer.sequence.missing("hands", "tracks")
+        return "" if self._path() is not None else self.viewer.sequence.missing("hands", "tracks")
 
     def _path(self) -> Slices | None:
         """The artifact that has its path; tracks and clouds tell of contact too."""

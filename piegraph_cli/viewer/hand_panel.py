@@ -32,7 +32,8 @@ class HandPanel(Panel):
                 self.tools[kind.name] = kind(viewer, desk)
         self.in_hand: Tool | None = None
         self.choice.on_update(lambda _: viewer.post(self._take))
-        viewer.on_sequence(self._take)
+        self.of: tuple[object, str] | None = None
+        viewer.on_sequence(self._sequence_changed)
         viewer.on_frame(self._frame_changed)
 
     def _take(self) -> None:
@@ -47,6 +48,13 @@ class HandPanel(Panel):
             folder.visible = self.tools[name] is self.in_hand
         if self.in_hand is not None:
             self.in_hand.take()
+
+    def _sequence_changed(self) -> None:
+        """Begin anew with another sequence; what is not kept yet of the same one, read again, stays in hand."""
+        of, before = (self.viewer.opened.folder, self.viewer.sequence.name), self.of
+        self.of = of
+        if of != before or self.in_hand is None or self.in_hand.missing():
+            self._take()
 
     def _frame_changed(self) -> None:
         if self.in_hand is not None:

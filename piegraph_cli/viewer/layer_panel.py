@@ -35,5 +35,5 @@ class LayerPanel(Panel):
         for layer, box in self.boxes.items():
             why = layer.missing()
             box.disabled = bool(why)
-            said |= {text: None for text in (why, layer.note) if text}
+            said |= {text: None for text in (why or layer.note,) if text}
         self.note.content = "\n\n".join(said)

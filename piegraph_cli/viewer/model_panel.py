@@ -56,7 +56,7 @@ class ModelPanel(Panel):
         if not self.viewer.sequence.name:
             return "no sequence"
         if not opened.run.path("dataset", None).exists():
-            return f"no strokes yet: `{opened.command('dataset')}`"
+            return opened.absent("dataset")
         return ""
 
     def _found(self, run: Any, name: str) -> Any:
@@ -101,7 +101,7 @@ class ModelPanel(Panel):
         assert rolled is not None
         said = [f"{label}: {why}" for label, why in rolled.failed.items()]
         if not rolled.predicted:
-            said.append(f"`{self.viewer.opened.command('model')}`")
+            said.append(self.viewer.opened.absent("model"))
         self.note.content = "\n\n".join(said)
 
     def _chosen(self) -> None:

@@ -36,7 +36,7 @@ class Cloud(Layer):
         assert clouds is not None
         self.clouds, self.offsets = clouds, clouds["offsets"]
         self.points = self.scene.add_point_cloud(
-            f"{self.root}/points", NO_POINTS, UNKNOWN, point_size=0.0015, point_shape="square", point_shading="flat"
+            f"{self.root}/points", NO_POINTS, UNKNOWN, point_size=0.002, point_shape="square", point_shading="flat"
         )
         most = int(np.diff(self.offsets).max(initial=0))
         self.note = f"clouds of up to {most:,} points are thinned to {MOST_POINTS:,}" if most > MOST_POINTS else ""

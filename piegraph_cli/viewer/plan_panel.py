@@ -62,7 +62,7 @@ class PlanPanel(Panel):
             return
         if plan is not None:
             plan.close()
-        self.layer.plan, self.note.content = None, f"no plan yet: `{opened.command('plan')}`"
+        self.layer.plan, self.note.content = None, opened.absent("plan")
         if path.exists():
             try:
                 self.layer.plan, self.note.content = Slices(path, "plan"), ""
@@ -126,10 +126,10 @@ def plan_text(plan: Slices, step: int) -> str:
     """What is to be said of one stroke of a plan."""
     episode = int(plan["episode"][step])
     start, end = plan["start_distance"][episode] * 100, plan["end_distance"][episode] * 100
-    metric = plan.texts("metric")[episode]
-    text = f"From {start:.1f} cm of {metric} from the goal"
-    text += f" to {end:.1f} cm. " if np.isfinite(end) else "; not executed. "
+    text = f"{start:.1f} cm from the goal at the start, "
+    text += f"{end:.1f} cm at the end" if np.isfinite(end) else "not executed"
+    text += f" ({plan.texts('metric')[episode]}). "
     kind = "pick" if plan["mode"][step] else "push"
-    distance = plan["distance"][step] * 100
-    text += f"This {kind}: predicted cost {plan['cost'][step] * 100:.1f} cm"
-    return text + (f", {distance:.1f} cm after it." if np.isfinite(distance) else ".")
+    found = plan["distance"][step] * 100
+    text += f"This {kind}: {plan['cost'][step] * 100:.1f} cm predicted"
+    return text + (f", {found:.1f} cm after it." if np.isfinite(found) else ".")

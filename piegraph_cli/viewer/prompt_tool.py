@@ -9,6 +9,7 @@ from piegraph_cli.evaluation.overlays import draw_mask, label
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.stages import STAGES, open_run, segment
 from piegraph_cli.viewer.desk import Desk
+from piegraph_cli.viewer.lazy import lazily
 from piegraph_cli.viewer.tool import Tool
 from piegraph_cli.viewer.viewer import Viewer
 from piegraph_cli.workspace.artifact import Artifact
@@ -38,7 +39,6 @@ class PromptTool(Tool):
         self.points: dict[str, tuple[float, float]] = {}
         self.boxes: dict[str, tuple[float, float, float, float]] = {}
         self.corner: tuple[int, tuple[float, float]] | None = None
-        self._read: tuple[str, str, Artifact, Artifact] | None = None
         self.forget.on_click(lambda _: viewer.post(self._forget))
         self.keep.on_click(lambda _: viewer.post(self._keep))
 
@@ -96,11 +96,10 @@ class PromptTool(Tool):
         self.told.content = "\n\n".join([f"{given}; the mask in frame {frame}: {pixels}", *warnings])
 
     def _artifacts(self) -> tuple[Artifact, Artifact]:
-        """Frames and hands of the sequence, read once."""
-        run, name = self._run(), self.viewer.sequence.name
-        if self._read is None or self._read[:2] != (str(run.folder), name):
-            self._read = str(run.folder), name, run.read("frames", name), run.read("hands", name)
-        return self._read[2:]
+        """Frames and hands of the sequence; hands that are fresh were made of frames that are."""
+        frames = self.viewer.sequence.get("frames")
+        assert frames is not None
+        return lazily(frames), self._run().read("hands", self.viewer.sequence.name)
 
     def _show(self, frame: int, masks: list[np.ndarray] | None) -> None:
         import cv2

@@ -59,7 +59,10 @@ class RunPanel(Panel):
 
     def _sequence_changed(self) -> None:
         opened, name = self.viewer.opened, self.viewer.sequence.name
-        head = [f"`{opened.folder}`", *([opened.trouble] if opened.trouble else [])]
+        head = [f"`{opened.folder}`"]
+        if opened.trouble:
+            self.note.content = "\n\n".join([*head, opened.trouble, f"`{opened.remedy}`"])
+            return
         self.note.content = "\n\n".join([*head, "looking ..."])
 
         def show(lines: list[str]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.stages import STAGES, open_run, sequences
+from piegraph_cli.stages import open_run, sequences
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.slices import Slices, Stamp, stamp_of
 
@@ -26,26 +26,30 @@ class OpenRun:
     folder: Path
     run: Run
     names: list[str]
-    trouble: str
+    trouble: str = ""
+    remedy: str = ""
 
     @classmethod
     def of(cls, folder: Path) -> "OpenRun":
         """Open a folder. One whose recording cannot be read has the sequences that it has artifacts of."""
-        run, trouble = open_run(folder), ""
+        run = open_run(folder)
         try:
-            names = sequences(run)
+            return cls(folder, run, sequences(run))
         except PiegraphError as error:
-            found = {path.stem for name in OF_SEQUENCE for path in (folder / name).glob("*.h5")}
-            names, trouble = sorted(found), str(error)
-        return cls(folder, run, names, trouble)
+            found = {path.stem for name in OF_SEQUENCE for path in (folder / name).glob("[!.]*.h5")}
+            return cls(folder, run, sorted(found), error.message, error.hint)
 
     def command(self, artifact: str) -> str:
-        """The command that makes an artifact, or why this run has none."""
+        """The command that makes an artifact; empty where this run makes none."""
         producer = self.run.producer(artifact)
-        if producer is None:
-            makers = [stage.name for stage in STAGES.values() if stage.writes == artifact]
-            return f"this run's recipe has no stage {makers[0]}"
-        return f"piegraph run --run {self.folder} --until {producer.name}"
+        if self.trouble:
+            return self.remedy
+        return f"piegraph run --run {self.folder} --until {producer.name}" if producer else ""
+
+    def absent(self, artifact: str) -> str:
+        """What to say of an artifact that is not there, in Markdown."""
+        command = self.command(artifact)
+        return f"no {artifact} yet: `{command}`" if command else f"this run makes no {artifact}"
 
 
 class Sequence:
@@ -62,7 +66,7 @@ class Sequence:
     def _try(self, artifact: str) -> None:
         path = self.opened.run.path(artifact, self.name)
         if not path.exists():
-            self._missing[artifact] = f"no {artifact} yet: `{self.opened.command(artifact)}`"
+            self._missing[artifact] = self.opened.absent(artifact)
             return
         try:
             found = Slices(path, artifact)

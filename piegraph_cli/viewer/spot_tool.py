@@ -1,5 +1,6 @@
 """Truth by hand: click the same spot of the object in a few frames, and see how far the tracked particles are off."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 from piegraph_cli.errors import DataError
@@ -7,11 +8,16 @@ from piegraph_cli.evaluation.overlays import label
 from piegraph_cli.recording.clicks import Click, read_clicks, write_clicks
 from piegraph_cli.stages import open_run, score
 from piegraph_cli.viewer.desk import Desk
+from piegraph_cli.viewer.lazy import lazily
 from piegraph_cli.viewer.tool import Tool
 from piegraph_cli.viewer.viewer import Viewer
 
 COLORS = ((255, 60, 60), (60, 220, 60), (80, 140, 255), (255, 200, 0), (255, 0, 255), (0, 230, 230))
 NEW = "a new one"
+
+
+def _same_place(one: Click, other: Click) -> bool:
+    return (one.spot, one.camera, one.frame) == (other.spot, other.camera, other.frame)
 
 
 class SpotTool(Tool):
@@ -85,22 +91,25 @@ class SpotTool(Tool):
         spot = self.spot.value
         if spot == NEW:
             spot = next(str(k) for k in range(1, 10_000) if str(k) not in self._names())
-        self.clicks = [c for c in self.clicks if (c.spot, c.camera, c.frame) != (spot, name, number)]
-        self.clicks.append(Click(spot, name, number, *pixel))
-        self._keep(spot)
+        one = Click(spot, name, number, *pixel)
+        self._change(lambda clicks: [*(c for c in clicks if not _same_place(c, one)), one])
+        self._name_spots(spot)
 
     def _undo(self) -> None:
-        if self.clicks:
-            last = self.clicks.pop()
-            self._keep(last.spot if last.spot in self._names() else NEW)
+        if not self.clicks:
+            return
+        last = self.clicks[-1]
+        self._change(lambda clicks: [c for c in clicks if not _same_place(c, last)])
+        self._name_spots(last.spot if last.spot in self._names() else NEW)
 
-    def _keep(self, spot: str) -> None:
-        """Write the table; one without clicks is no file."""
-        if self.clicks:
-            write_clicks(self.file, self.clicks)
-        else:
-            self.file.unlink(missing_ok=True)
-        self._name_spots(spot)
+    def _change(self, change: Callable[[list[Click]], list[Click]]) -> None:
+        """Change the table as it is now, whoever else clicks; one without clicks is no file."""
+        with open_run(self.viewer.opened.folder).lock(f"clicks/{self.viewer.sequence.name}"):
+            self.clicks = change(read_clicks(self.file) if self.file.is_file() else [])
+            if self.clicks:
+                write_clicks(self.file, self.clicks)
+            else:
+                self.file.unlink(missing_ok=True)
         lines = [
             f"**{name}**: images {', '.join(str(n) for n in sorted({c.frame for c in self.clicks if c.spot == name}))}"
             for name in self._names()
@@ -110,12 +119,18 @@ class SpotTool(Tool):
 
     def _score(self) -> None:
         """Say how far tracked particles are off; `piegraph score` keeps it."""
-        run, name, file = open_run(self.viewer.opened.folder), self.viewer.sequence.name, self.file
+        sequence, file = self.viewer.sequence, self.file
+        run, name, why = open_run(self.viewer.opened.folder), sequence.name, sequence.missing("masks", "tracks")
+        frames, masks = sequence.get("frames"), sequence.get("masks")
+        if frames is None or masks is None or why:
+            self.told.content = why
+            return
 
         def scored() -> tuple[str, list[str]]:
             if not file.is_file():
                 raise DataError("there is no click yet", str(file), "click one spot of the object in two frames")
-            inputs = {artifact: run.read(artifact, name) for artifact in ("frames", "masks", "tracks")}
+            tracks = run.read("tracks", name)  # fresh ones were made of frames and masks that are
+            inputs = {"frames": lazily(frames), "masks": lazily(masks), "tracks": tracks}
             return score.score_clicks(inputs, file)[1:]
 
         def tell(found: tuple[str, list[str]]) -> None:

@@ -186,8 +186,13 @@ class Viewer:
 
     def _show_wanted(self) -> None:
         wanted, self._wanted = self._wanted, None
-        if wanted is not None and len(self.sequence):
-            self.frame = max(0, min(wanted, len(self.sequence) - 1))
+        if wanted is not None:
+            self.draw_frame(wanted)
+
+    def draw_frame(self, frame: int) -> None:
+        """Draw a frame now. On the viewer's thread."""
+        if len(self.sequence):
+            self.frame = max(0, min(frame, len(self.sequence) - 1))
             self._draw()
 
     def _draw(self) -> None:
@@ -228,7 +233,8 @@ class Viewer:
     def _frame_object(self) -> None:
         """Turn the browsers to the object where another run was opened; in the same run people keep their view."""
         if len(self.sequence) and self._framed != self.opened.folder:
-            self._guarded(self.look_at_object)
+            known = self.sequence.missing("tracks") == "" or self.sequence.missing("clouds") == ""
+            self._guarded(self.look_at_object if known else self.look_at_all)
             self._framed = self.opened.folder
 
     def _places(self) -> np.ndarray:

@@ -75,9 +75,20 @@ def test_another_object_or_more_than_the_object_is_said_with_its_cause():
             check(wrong.astype(np.float32), sizes)
         assert (caught.value.exit_code, bool(caught.value.hint)) == (3, True)
     rim = np.concatenate([cloud, boxed(0.24, 0.24, (-0.002, 0.002), middle, 4000)])
-    assert check(cloud[:, [1, 0, 2]] * [1.25, 1.25, 1], sizes)[0].startswith("this is not the trained object")
+    assert check(cloud[:, [1, 0, 2]] * [1.25, 1.25, 1], sizes)[0].startswith(
+        "this may not be the trained object: it is 2"
+    )
     with pytest.raises(DataError, match="the table"):
         check(rim.astype(np.float32), sizes)
+
+
+def test_a_goal_that_is_another_object_is_said_and_planned_for_all_the_same():
+    model = Model("static", trained("tblock"), PlanParams(samples=8, cem_iterations=1))
+    cloud = seen("tblock")[2][0]
+    assert model.plan(cloud, goal=cloud + np.float32([0.1, 0, 0])).warnings == ()
+    (said,) = model.plan(cloud, goal=boxed(0.34, 0.12, (0, 0.035), [0.1, 0])).warnings
+    assert said.startswith("the goal: this is not the trained object: it is 3")
+    assert model.plan(cloud, goal=cloud[:20], cost="chamfer").warnings == ()
 
 
 def test_a_bending_thing_may_be_smaller_but_not_longer():

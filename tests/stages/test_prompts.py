@@ -7,10 +7,11 @@ import pytest
 
 from piegraph_cli.errors import UsageError
 from piegraph_cli.perception.params import SegmentParams
-from piegraph_cli.recording.images import ImageStack
+from piegraph_cli.recording.images import ImageStack, encode_masks
 from piegraph_cli.stages import STAGES, open_run, segment
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.recipe import change_recipe
+from tests.stages.chain import artifact
 
 SEGMENT = STAGES["segment"]
 
@@ -70,3 +71,12 @@ def test_the_mask_that_is_foreseen_is_the_one_that_is_made(run):
     at = np.argwhere(foreseen[2])[len(np.argwhere(foreseen[2])) // 2]
     _, clicked, _ = segment.foresee_masks(frames, hands, SegmentParams(points={"cam2": (at[1], at[0])}))
     assert all((a == b).all() for a, b in zip(clicked, foreseen, strict=True))
+
+
+def test_masks_that_came_with_the_recording_are_foreseen_as_they_are():
+    given = [np.eye(6, 8, dtype=bool), np.zeros((6, 8), bool)]
+    data, offsets = encode_masks(given)
+    frames = artifact({"mask": data, "mask_offsets": offsets, "image_size": [[8, 6], [8, 6]]})
+    frame, foreseen, _ = segment.foresee_masks(frames, artifact({}), SegmentParams())
+    assert frame == 0
+    assert all((a == b).all() for a, b in zip(foreseen, given, strict=True))

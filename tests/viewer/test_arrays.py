@@ -104,6 +104,7 @@ def test_the_line_of_the_time_line_leaves_curves_as_they_are():
     np.testing.assert_array_equal(x, [0, 0.5, 0.5, 1, 2])
     np.testing.assert_array_equal(with_now, [5, 6, 6, 7, 6])
     np.testing.assert_array_equal(line, [np.nan, 0, 9, np.nan, np.nan])
+    np.testing.assert_array_equal(with_line(time, [curve], 0.5, 9.0, dots=True)[1], [5, np.nan, np.nan, 7, 6])
 
 
 def test_long_curves_keep_their_peaks():

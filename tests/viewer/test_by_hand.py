@@ -7,8 +7,12 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'piegraph[view]'")
 
+from piegraph_cli.stages.images import color_of, depth_of
 from piegraph_cli.viewer.desk import PLACE, Desk
 from piegraph_cli.viewer.goal_shape import GoalShape
+from piegraph_cli.viewer.lazy import Rows, lazily
+from piegraph_cli.workspace.artifact import read_artifact
+from piegraph_cli.workspace.slices import Slices
 
 
 def desk(sizes) -> Desk:
@@ -70,3 +74,17 @@ def test_a_goal_that_is_bent_as_the_object_never_was_is_doubted():
 def test_points_to_hold_are_spread_from_an_end():
     numbers = GoalShape(LINE).controls(3)
     assert sorted(numbers.tolist()) == pytest.approx([0, 20, 39], abs=1)
+
+
+def test_an_artifact_that_stays_on_the_disk_gives_the_same_images(sample_run):
+    path = sample_run / "frames" / "sequence_0000.h5"
+    whole, held = read_artifact(path, "frames"), Slices(path, "frames")
+    lazy = lazily(held)
+    assert isinstance(lazy["color"], Rows)
+    assert lazy.params == whole.params
+    assert lazy.texts("camera_name") == whole.texts("camera_name")
+    for stack in (color_of, depth_of):
+        kind = stack.__name__.partition("_")[0]
+        a, b = (getattr(stack(of), kind)(17, 2) for of in (lazy, whole))
+        assert (a == b).all()
+    held.close()

@@ -39,6 +39,12 @@ def test_an_empty_sequence_has_no_frames(tmp_path):
     assert all(sequence.missing(name) for name in OF_SEQUENCE)
 
 
+def test_what_a_recipe_does_not_make_is_told_without_a_command(tmp_path):
+    (tmp_path / "recipe.toml").write_text("[trials]\n")
+    sequence = Sequence(OpenRun.of(tmp_path), "")
+    assert sequence.missing("frames") == "this run makes no frames"
+
+
 def test_times_begin_at_the_first_frame(tmp_path):
     np.testing.assert_allclose(opened(tmp_path / "run", "tracks").time, np.arange(made.FRAMES) / 5)
 

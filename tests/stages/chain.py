@@ -34,6 +34,7 @@ def context(folder: Path = Path("nowhere")) -> Any:
         device="cpu",
         checkpoint=SimpleNamespace(load=lambda: None, save=lambda state: None),
         progress=lambda items, *_: iter(items),
+        counting=lambda *_: iter,
     )
 
 

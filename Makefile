@@ -86,9 +86,11 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# the tables of README.md and docs/ from results/
+# the tables of README.md and docs/ from results/, docs/settings.md from the settings, docs/json.md from what commands tell
 tables: setup
 	$(BIN)/python -m tools.tables
+	$(BIN)/python -m tools.settings
+	$(BIN)/python -m tools.json_page
 
 clean:
 	rm -rf .venv runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -127,10 +127,10 @@ class Found:
         if not path.exists():
             return None, "not made yet"
         try:
-            plan = read_artifact(path, "plan")
             header = self.run.header(stage, None)
             if header is None or header.version != stage.version:
                 return None, "made by another version of the stage"
+            plan = read_artifact(path, "plan")
             for place, key in plan.inputs.items():
                 artifact, _, unit = place.partition("/")
                 if self.run.key(self.run.maker(artifact), unit or None) != key:

@@ -10,10 +10,11 @@ from piegraph_cli.evaluation.statistics import bootstrap_mean
 from piegraph_cli.evaluation.tables import Metrics, difference, interval, sequence_means
 from piegraph_cli.evaluation.trials import Trial, select
 from piegraph_cli.report.found import Found
-from piegraph_cli.report.verdicts import Verdict, counted
-from piegraph_cli.report.words import Word
+from piegraph_cli.report.verdicts import Verdict
+from piegraph_cli.report.words import Word, worst
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.plan import METRICS
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.artifact import Artifact
 
 SOLVED = 0.5
@@ -28,25 +29,26 @@ def main_model(found: Found, labels: Sequence[str]) -> str | None:
 
 def model_verdict(found: Found, metrics: Metrics) -> Verdict:
     """Predictions against an object that stays where it is, on held-out sequences."""
+    stages = ("dataset", "train", "evaluate")
+    said = [text for (stage, _), texts in found.warnings.items() if stage in stages for text in texts]
     main = main_model(found, list(metrics))
     if main is None:
         waiting = next(iter(found.units("evaluate", "stale", "missing", "failed")), None)
         row = found.rows.get(("evaluate", waiting), {})
         why = row.get("failure") or (f"out of date: {row['reason']}" if row.get("reason") else "not made yet")
-        return Verdict("model", "not yet", why.splitlines()[0], command=found.command(STAGES["evaluate"], waiting))
+        return Verdict("model", "not yet", why.splitlines()[0], said, found.command(STAGES["evaluate"], waiting))
     horizons = sorted({int(h) for one in metrics[main] for h in one["horizon"]})
     first = horizons[0]
     ours = float(sequence_means(metrics[main], "pd", first).mean())
     figure = f"{main} is {ours:.2f} cm off after {counted(first, 'stroke')}"
     if "static" not in metrics:
-        return Verdict(
-            "model", "check", figure, ["evaluate static beside it: how far does the object move?"], "", "model"
-        )
+        todo = ["evaluate static beside it: how far does the object move?"]
+        return Verdict("model", "check", figure, said + todo, "", "model")
     gains = {h: difference(metrics, main, "static", "pd", h) for h in horizons}
     static = ours + gains[first][0]
     figure += f", {interval(gains[first])} cm better than an object that stays where it is ({static:.2f} cm)"
     word, todo = _word_of_gains(gains)
-    return Verdict("model", word, figure, todo, "", "model")
+    return Verdict("model", worst([word, "check" if said else word]), figure, said + todo, "", "model")
 
 
 def _word_of_gains(gains: dict[int, tuple[float, float, float]]) -> tuple[Word, list[str]]:

@@ -58,6 +58,7 @@ def write_report(folder: Path, progress: Callable[[list[str]], Iterable[str]] = 
         "option": found.option,
         "verdicts": verdicts,
         "sequences": shown,
+        "parts": list(next(iter(parts.values()), {})),
         "fewer": share_of(len(shown)) < SEQUENCE,
         "model": model_section(found, metrics, arrays, drawn),
         "plan": plan_section(found, drawn),

@@ -18,9 +18,9 @@ from piegraph_cli.report.found import Found
 from piegraph_cli.report.pictures import Picture, image_picture, share_of, shrink
 from piegraph_cli.report.sequence import FRAMES, Seen, draw_sequence
 from piegraph_cli.report.svg import svg_of
-from piegraph_cli.report.verdicts import counted
 from piegraph_cli.report.words import Part, worst
 from piegraph_cli.stages.train import split_model
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.artifact import Artifact
 
 PLANS = 12

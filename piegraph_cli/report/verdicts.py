@@ -8,6 +8,7 @@ import numpy as np
 from piegraph_cli.report.found import Found
 from piegraph_cli.report.words import Part, Word, measured_error, worst
 from piegraph_cli.stages import STAGES
+from piegraph_cli.text import counted
 
 MANY = 0.5
 """Share of the sequences that makes a part bad where they are."""
@@ -76,7 +77,7 @@ def _of_tracks(found: Found, there: Mapping[str, Part]) -> str:
     name, most = max(known.items(), key=lambda item: item[1].value)
     figure = f"expected error {_mean(known) * 1000:.1f} mm; most in {name}, {most.value * 1000:.1f} mm"
     measured = [error for name in there if (error := measured_error(found, name)) is not None]
-    return figure + (f"; measured at stroke ends {np.mean(measured):.1f} mm" if measured else "")
+    return figure + (f"; measured {np.mean(measured):.1f} mm" if measured else "")
 
 
 SOURCES = {"simulate": "of a simulation, which knows where each particle is", "import": "as others measured them"}
@@ -91,8 +92,3 @@ def _least(of: Mapping[str, Part]) -> str:
 
 def _mean(of: Mapping[str, Part]) -> float:
     return float(np.mean([one.value for one in of.values()]))
-
-
-def counted(count: int, what: str) -> str:
-    """`1 stroke`, `2 strokes`."""
-    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from piegraph_cli.evaluation.scores import AT_ENDS
+from piegraph_cli.evaluation.scores import AT_ENDS, SPOTS
 from piegraph_cli.report.found import Found
 from piegraph_cli.stages.hands import POOR
 from piegraph_cli.stages.track import DOUBTFUL
@@ -107,14 +107,17 @@ def _tracks(found: Found, name: str) -> Part:
     if error is not None:
         figure += f", measured {error:.1f} mm"
         if error > DOUBTFUL * 1000:
-            return Part("bad", figure, doubt, [*said, f"the tracks are {error:.0f} mm off the truth at stroke ends"])
+            return Part("bad", figure, doubt, [*said, f"the tracks are {error:.0f} mm off the truth"])
     return Part(word, figure, doubt, said)
 
 
 def measured_error(found: Found, name: str) -> float | None:
-    """Mean distance (mm) of a sequence's tracks from the truth at stroke ends, where there is a truth."""
+    """Mean distance (mm) of a sequence's tracks from the truth at stroke ends, or from spots that were clicked by hand."""
     scores = found.read("scores", name, ("score_name", "score_value"))
     if scores is None:
         return None
-    values = scores["score_value"][scores["score_name"] == AT_ENDS.encode()]
-    return float(np.nanmean(values)) if np.isfinite(values).any() else None
+    for measure in (AT_ENDS, SPOTS):
+        values = scores["score_value"][scores["score_name"] == measure.encode()]
+        if np.isfinite(values).any():
+            return float(np.nanmean(values))
+    return None

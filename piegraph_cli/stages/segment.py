@@ -55,7 +55,7 @@ def run(inputs: dict[str, Any], params: SegmentParams, context: Context) -> Outp
     color, _, cameras, *_ = given
     count = len(frames["time"])
     seed = seed_object(*given)
-    masks = follow_object(*given, seed, lambda of, each: map(of, context.progress(each, "segment", len(cameras))))
+    masks = follow_object(*given, seed, progress=context.counting(len(cameras) * count, "images"))
     area = np.stack([m.sum((1, 2)) for m in masks], 1)
     data, offsets = encode_masks(masks[c][f] for f in range(count) for c in range(len(cameras)))
     found = (area > 0).any(1).mean()

@@ -4,9 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from piegraph_cli.evaluation.overlays import draw_mask
 from piegraph_cli.viewer.layer import Layer
-from piegraph_cli.viewer.pictures import Picture
 
 SIZE = 0.12
 """Metres from a camera to its picture."""
@@ -17,11 +15,6 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-
-
-def drawn(picture: Picture) -> np.ndarray:
-    """A picture [H, W, 3] with its mask, where it has one."""
-    return picture.image if picture.mask is None else draw_mask(picture.image, picture.mask)
 
 
 class Cameras(Layer):
@@ -54,4 +47,4 @@ class Cameras(Layer):
     def draw(self, frame: int) -> None:
         """Show what the cameras saw."""
         for frustum, picture in zip(self.frusta, self.viewer.pictures.at(frame), strict=True):
-            frustum.image = drawn(picture)
+            frustum.image = picture.drawn

@@ -5,7 +5,6 @@ from typing import ClassVar
 import numpy as np
 
 from piegraph_cli.evaluation.overlays import label, tile
-from piegraph_cli.viewer.image_layer import drawn
 from piegraph_cli.viewer.layer import Panel
 from piegraph_cli.viewer.viewer import Viewer
 
@@ -32,5 +31,5 @@ class ImagePanel(Panel):
     def _frame_changed(self) -> None:
         pictures = self.viewer.pictures.at(self.viewer.frame)
         if pictures:
-            images = [label(drawn(picture).copy(), picture.camera.name, 0.8) for picture in pictures]
+            images = [label(picture.drawn.copy(), picture.camera.name, 0.8) for picture in pictures]
             self.image.image = tile([images[k : k + 2] for k in range(0, len(images), 2)])

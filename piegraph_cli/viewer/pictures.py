@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.evaluation.overlays import draw_mask
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.viewer.source import Sequence
 
@@ -24,6 +26,11 @@ class Picture:
     """[H, W] bool, the object; None where there are no masks."""
     reduced: int
     """How many pixels of the camera a pixel is wide."""
+
+    @cached_property
+    def drawn(self) -> np.ndarray:
+        """[H, W, 3] uint8: the image with the mask, where there is one; not to be written to."""
+        return self.image if self.mask is None else draw_mask(self.image, self.mask)
 
 
 class Pictures:

@@ -11,7 +11,6 @@ from piegraph_cli.errors import MissingError, UsageError
 
 if TYPE_CHECKING:
     from piegraph_cli.viewer.server import Server
-    from piegraph_cli.viewer.source import OpenRun
     from piegraph_cli.viewer.viewer import Viewer
 
 LEFT_WIDTH = 360
@@ -24,15 +23,18 @@ def view(folders: list[Path], sequence: str | None, port: int) -> None:
         import viser  # noqa: F401
     except ImportError:
         raise MissingError("viser is not installed", hint="pip install 'piegraph[view]'") from None
+    from piegraph_cli.viewer.layers import LAYERS
     from piegraph_cli.viewer.server import address, start_server
     from piegraph_cli.viewer.source import OpenRun
+    from piegraph_cli.viewer.viewer import Viewer
 
     runs = [OpenRun.of(folder) for folder in folders]
     names = runs[0].names
     if sequence is not None and sequence not in names:
         raise UsageError(f"no sequence {sequence}", str(folders[0]), f"one of {', '.join(names)}")
     server = start_server(port)
-    viewer = make_viewer(server, runs)
+    viewer = Viewer(server, runs, LAYERS)
+    add_panels(viewer)
     viewer.post(lambda: viewer.open(runs[0], sequence or (names[0] if names else "")))
     viewer.start()
     print(f"{address(server)}  (Ctrl-C ends it)", flush=True)
@@ -48,14 +50,12 @@ def view(folders: list[Path], sequence: str | None, port: int) -> None:
         server.stop()
 
 
-def make_viewer(server: "Server", runs: list["OpenRun"]) -> "Viewer":
-    """The viewer with its time line, layers and panels, not yet started."""
-    from piegraph_cli.viewer.layers import LAYERS
+def add_panels(viewer: "Viewer") -> None:
+    """Make the table, the time line and all panels of a viewer that is not yet started."""
     from piegraph_cli.viewer.panels import PANELS
     from piegraph_cli.viewer.timeline import Timeline
-    from piegraph_cli.viewer.viewer import Viewer
 
-    viewer = Viewer(server, runs, LAYERS)
+    server = viewer.server
     server.scene.add_grid("/table", width=2.0, height=2.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
     viewer.look_at(np.zeros((0, 3)))
     _keep_shader(server)
@@ -72,7 +72,6 @@ def make_viewer(server: "Server", runs: list["OpenRun"]) -> "Viewer":
         if not panel.left:
             with tabs.add_tab(panel.title):
                 panel(viewer)
-    return viewer
 
 
 def _keep_shader(server: "Server") -> None:

@@ -186,8 +186,13 @@ class Viewer:
 
     def _show_wanted(self) -> None:
         wanted, self._wanted = self._wanted, None
-        if wanted is not None and len(self.sequence):
-            self.frame = max(0, min(wanted, len(self.sequence) - 1))
+        if wanted is not None:
+            self.draw_frame(wanted)
+
+    def draw_frame(self, frame: int) -> None:
+        """Draw a frame now. On the viewer's thread."""
+        if len(self.sequence):
+            self.frame = max(0, min(frame, len(self.sequence) - 1))
             self._draw()
 
     def _draw(self) -> None:

@@ -16,7 +16,7 @@ from piegraph_cli.viewer.layers import LAYERS
 from piegraph_cli.viewer.object_layers import Cloud, Particles, Truth
 from piegraph_cli.viewer.server import address, start_server
 from piegraph_cli.viewer.source import OpenRun
-from piegraph_cli.viewer.view import make_viewer
+from piegraph_cli.viewer.view import add_panels
 from piegraph_cli.viewer.viewer import Viewer
 from tests.viewer import made
 
@@ -73,8 +73,7 @@ def test_frames_move_what_is_drawn(viewer):
     viewer.open(viewer.opened, "first")
     particles = viewer.layer(Particles)
     np.testing.assert_allclose(particles.points.points, made.positions()[0], atol=1e-6)
-    viewer.show(4)
-    viewer._show_wanted()
+    viewer.draw_frame(4)
     assert viewer.frame == 4
     np.testing.assert_allclose(particles.points.points, made.positions()[4], atol=1e-6)
     np.testing.assert_array_equal(particles.springs.colors, 190)
@@ -142,13 +141,11 @@ def test_a_damaged_frame_is_told_and_the_others_are_drawn(viewer, monkeypatch):
         file["positions"][2] = np.nan
     viewer.open(viewer.opened, "first")
     told.clear()
-    viewer.show(2)
-    viewer._show_wanted()
+    viewer.draw_frame(2)
     assert told
     assert "not finite" in told[0][0]
     told.clear()
-    viewer.show(3)
-    viewer._show_wanted()
+    viewer.draw_frame(3)
     assert not told
     np.testing.assert_allclose(viewer.layer(Particles).points.points, made.positions()[3], atol=1e-6)
 
@@ -157,7 +154,8 @@ def test_a_damaged_frame_is_told_and_the_others_are_drawn(viewer, monkeypatch):
 def running(server, folder):
     """The whole viewer at work on a run."""
     run = OpenRun.of(folder)
-    viewer = make_viewer(server, [run])
+    viewer = Viewer(server, [run], LAYERS)
+    add_panels(viewer)
     viewer.post(lambda: viewer.open(run, run.names[0] if run.names else ""))
     viewer.start()
     try:

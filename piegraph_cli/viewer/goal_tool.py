@@ -153,9 +153,9 @@ class GoalTool(Tool):
         """Ask for the strokes to the goal, with the settings of the run, and draw them."""
         if self.shape is None:
             return
-        shape = self.shape
+        start, goal, rest = self.shape.start, self.shape.points.copy(), self._tracks().row("positions", 0)
         self.told.content = "planning …"
-        self.look_up(lambda: self._answer(shape), self._tell_plan, self.told)
+        self.look_up(lambda: self._answer(start, goal, rest), self._tell_plan, self.told)
 
     def _tell_plan(self, answer: "Answer") -> None:
         self._draw_plan(answer)
@@ -176,17 +176,13 @@ class GoalTool(Tool):
         strokes = answer.strokes
         return [] if strokes is None else list(zip(strokes.mode.tolist(), strokes.ends.tolist(), strict=True))
 
-    def _answer(self, shape: GoalShape) -> "Answer":
-        from scipy.spatial import cKDTree
-
-        from piegraph_cli.physics.particles import choose_particles
+    def _answer(self, start: np.ndarray, goal: np.ndarray, rest: np.ndarray) -> "Answer":
+        """The plan for tracked particles, whose goal is known one by one; all [N, 3] (m) in the run's world."""
         from piegraph_cli.stages.models import load_model
 
         run = open_run(self.viewer.opened.folder)
         model = load_model(run.folder, run.params("plan").model)
-        start, goal = shape.start, shape.points.copy()
-        order = cKDTree(start).query(choose_particles(start, model.particles))[1]
-        return model.plan(start, goal=goal[order], corresponds=True, table=(0.0, 0.0, 0.0))
+        return model.plan(start, goal=goal, rest=rest, corresponds=True, table=(0.0, 0.0, 0.0))
 
     def _draw_plan(self, answer: "Answer") -> None:
         scene = self.viewer.server.scene

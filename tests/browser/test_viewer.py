@@ -116,12 +116,13 @@ def test_what_is_switched_off_is_not_drawn(screen, layer):
     box = screen.page.get_by_label(layer, exact=True)
     others = [name for name in ("cloud", "particles") if name != layer]
     switch(screen, False, *others)  # what lies on each other hides each other
-    box.check()
-    shown = still(screen)
     box.uncheck()
-    hidden = until(lambda: now if changed(shown, now := still(screen)) > 60 else None, f"a scene without {layer}")
+    hidden = still(screen)
     box.check()
-    until(lambda: changed(shown, still(screen)) < 0.05 * changed(shown, hidden) + 20, f"{layer} again")
+    shown = until(lambda: now if changed(hidden, now := still(screen)) > 60 else None, f"{layer} in the scene")
+    box.uncheck()
+    until(lambda: changed(hidden, still(screen)) < 0.05 * changed(hidden, shown) + 10, f"a scene without {layer}")
+    box.set_checked(layer != "true particles")
     switch(screen, True, *others)
     screen.press("object")
 

@@ -42,7 +42,7 @@ libraries:
 
 # Chromium, in which tests open the viewer and the report; without one they are skipped
 browser: setup
-	@if command -v chromium chromium-browser google-chrome >/dev/null || ls $$HOME/.cache/ms-playwright/chromium-* >/dev/null 2>&1; then \
+	@if command -v chromium >/dev/null || command -v google-chrome >/dev/null || ls $$HOME/.cache/ms-playwright/chromium-* >/dev/null 2>&1; then \
 		echo "a browser is there"; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 		apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; \

@@ -41,6 +41,7 @@ class GoalTool(Tool):
         self.ask = self.gui.add_button("plan")
         self.told = self.gui.add_markdown("")
         self.shape: GoalShape | None = None
+        self.frame = 0
         self.balls: dict[int, Any] = {}
         self.how.on_update(lambda _: viewer.post(self._handles))
         self.count.on_update(lambda _: viewer.post(self._handles))
@@ -54,7 +55,10 @@ class GoalTool(Tool):
         self.lay_down()
         self.shape = GoalShape(self._tracks().row("positions", frame))
         self.file.value = str(self.viewer.opened.folder / "goals" / f"{sequence.name}.npz")
-        self.told.content = f"From frame {frame}: grey as it is, red as it shall be."
+        self.frame = frame
+        self.told.content = (
+            f"From frame {frame}: grey as it is, red as it shall be; green as it is expected after the strokes."
+        )
         scene = self.viewer.server.scene
         scene.add_point_cloud(f"{ROOT}/start", self.shape.start, START, point_size=0.004, precision="float32")
         self.cloud = scene.add_point_cloud(
@@ -142,7 +146,7 @@ class GoalTool(Tool):
         T_world_table = np.linalg.inv(level(run.params("ingest").table))
         write_points(path, moved(self.shape.points, T_world_table))
         at = self._tracks().path
-        command = f"piegraph plan --run {run.folder} --state {at}:{self.viewer.frame} --goal {path}"
+        command = f"piegraph plan --run {run.folder} --state {at}:{self.frame} --goal {path}"
         self.told.content = "\n\n".join([f"saved as {path}", f"`{command}`", *self._doubt()])
 
     def _plan(self) -> None:

@@ -168,7 +168,7 @@ def test_a_plan_is_shown_alone(screen):
     screen.page.get_by_label("candidates", exact=True).uncheck()
     until(lambda: changed(shown, still(screen)) > 60, "the plan without candidates")
     screen.page.get_by_label("show the plan", exact=True).uncheck()
-    until(lambda: changed(before, still(screen)) < 20, "the recording again")
+    until(lambda: changed(before, still(screen)) < 0.1 * changed(before, shown) + 20, "the recording again")
 
 
 class Filmed:
@@ -286,7 +286,9 @@ def test_a_click_on_the_object_is_a_prompt_that_the_recipe_keeps(screen, run):
     after = open_run(run).recipe.sections
     kept = after["segment"]["points"]
     assert list(kept) == ["sequence_0001/cam1"]
-    assert np.abs(np.array(kept["sequence_0001/cam1"]) - filmed.pixel(0, 1)).max() < 1.5
+    assert (
+        np.abs(np.array(kept["sequence_0001/cam1"]) - filmed.pixel(0, 1)).max() < 3
+    )  # of which a pixel of the screen has two
     assert {name: value for name, value in after.items() if name != "segment"} == {
         name: value for name, value in before.items() if name != "segment"
     }

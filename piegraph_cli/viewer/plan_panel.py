@@ -82,19 +82,19 @@ class PlanPanel(Panel):
 
     def _episode_chosen(self) -> None:
         """Go to the first stroke of a plan."""
-        steps = self._steps()
+        plan, steps = self.layer.plan, self._steps()
+        if plan is None:
+            return
         self.step.max, self.step.visible, self.step.value = max(2, len(steps)), len(steps) > 1, 1
-        plan = self.layer.plan
-        assert plan is not None
         self.iteration.max = max(2, plan.lengths["iteration"])
         self.iteration.value = 1
         self._looked()
         self._shown()
 
     def _steps(self) -> np.ndarray:
+        """The rows of the chosen plan."""
         plan = self.layer.plan
-        assert plan is not None
-        return np.flatnonzero(plan["episode"] == int(self.episode.value) - 1)
+        return np.zeros(0, int) if plan is None else np.flatnonzero(plan["episode"] == int(self.episode.value) - 1)
 
     def _looked(self) -> None:
         """Look at another stroke or iteration."""

@@ -18,6 +18,9 @@ TIMED = ("frames", "tracks", "clouds", "hands", "masks")
 
 OF_SEQUENCE = (*TIMED, "scores")
 
+OF_RUN = ("dataset.h5", "model", "plan.h5")
+"""Files of the run that panels show; a folder changes with what is put into it."""
+
 
 @dataclass
 class OpenRun:
@@ -128,11 +131,12 @@ class Sequence:
         return {}
 
     def changed(self) -> bool:
-        """Whether an artifact came, went, or was made anew since this was opened."""
+        """Whether an artifact of the sequence or of the run came, went, or was made anew since this was opened."""
         return self._stamps != self._stamps_now()
 
     def _stamps_now(self) -> list[Stamp | None]:
-        return [stamp_of(self.opened.run.path(name, self.name)) for name in OF_SEQUENCE]
+        own = [self.opened.run.path(name, self.name) for name in OF_SEQUENCE]
+        return [stamp_of(path) for path in (*own, *(self.opened.folder / name for name in OF_RUN))]
 
     def close(self) -> None:
         """Close its files."""

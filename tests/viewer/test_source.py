@@ -80,6 +80,16 @@ def test_what_comes_goes_or_is_made_anew_is_noticed(tmp_path, artifact):
     assert sequence.changed()
 
 
+def test_models_and_plans_that_come_are_noticed(tmp_path):
+    folder = made.make_run(tmp_path / "run", "frames")
+    for file in ("plan.h5", "model/piegraph.seed0.h5", "model/piegraph.seed1.h5"):
+        sequence = Sequence(OpenRun.of(folder), "first")
+        assert not sequence.changed()
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_bytes(b"")
+        assert sequence.changed()
+
+
 def test_what_cannot_be_read_is_no_change_until_it_is_replaced(tmp_path):
     folder = made.make_run(tmp_path / "run", "frames", "tracks")
     path = folder / "tracks" / "first.h5"

@@ -53,12 +53,7 @@ def serve(
     token = None if stdio else _token(host, token_file)
     signal.signal(signal.SIGTERM, _end)
     if stdio:
-        from piegraph_cli.service.setup import opened_service
-        from piegraph_cli.service.stdio import serve_lines, stdout_alone
-
-        with stdout_alone() as answers, opened_service(run, model, recording, live, device) as service:
-            print(f"{_what(service)} answers JSON lines on stdin", file=sys.stderr, flush=True)
-            serve_lines(service, sys.stdin.buffer, answers)
+        _serve_lines(run, model, recording, live, device)
         return
     from piegraph_cli.service.http import Gate, listen, make_server
 
@@ -68,6 +63,15 @@ def serve(
         with opened_service(run, model, recording, live, device) as service:
             _tell(service, f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}", as_json)
             make_server(service, Gate(host, token)).run([socket])
+
+
+def _serve_lines(run: Path | None, model: str | None, recording: Path | None, live: bool, device: str) -> None:
+    from piegraph_cli.service.setup import opened_service
+    from piegraph_cli.service.stdio import serve_lines, stdout_alone
+
+    with stdout_alone() as answers, opened_service(run, model, recording, live, device) as service:
+        print(f"{_what(service)} answers JSON lines on stdin", file=sys.stderr, flush=True)
+        serve_lines(service, sys.stdin.buffer, answers)
 
 
 def _end(*_: object) -> NoReturn:

@@ -23,7 +23,16 @@ class Field:
     """Whether an artifact may do without."""
 
 
-FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2, "least_most": 2, "measure": 4}
+FIXED_AXES = {
+    "xyz": 3,
+    "xy": 2,
+    "wh": 2,
+    "first_last": 2,
+    "landmark": 21,
+    "start_end": 2,
+    "least_most": 2,
+    "measure": 4,
+}
 """Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
 
 TEXT, LONG_TEXT = "S128", "S512"

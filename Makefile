@@ -13,7 +13,7 @@ EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise
 
 SAMPLE ?= 150
 
-.PHONY: setup demo test smoke lint tables mutants libraries clean reproduce troubles $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables mutants libraries browser clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -39,6 +39,16 @@ libraries:
 		echo "open3d and pyrealsense2 need system libraries: sudo apt-get install $(LIBRARIES)"; \
 	fi
 	@$(BIN)/python -c 'import cv2, mediapipe, open3d'  # pyrealsense2 is for some tests alone
+
+# Chromium, in which tests open the viewer and the report; without one they are skipped
+browser: setup
+	@if command -v chromium >/dev/null || command -v google-chrome >/dev/null || ls $$HOME/.cache/ms-playwright/chromium-* >/dev/null 2>&1; then \
+		echo "a browser is there"; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; \
+	else \
+		echo "tests in a browser need Chromium: sudo apt-get install chromium, or $(BIN)/playwright install --with-deps chromium"; \
+	fi
 
 # the whole pipeline on sample_data/, then its pictures
 demo: setup
@@ -76,9 +86,10 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# the tables of README.md and docs/ from results/, and docs/json.md from the models of what commands tell
+# the tables of README.md and docs/ from results/, docs/settings.md from the settings, docs/json.md from what commands tell
 tables: setup
 	$(BIN)/python -m tools.tables
+	$(BIN)/python -m tools.settings
 	$(BIN)/python -m tools.json_page
 
 clean:

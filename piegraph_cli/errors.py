@@ -1,6 +1,12 @@
 """The errors a user can cause or mend, each with the exit code the command line ends with."""
 
+import shlex
 from typing import Any
+
+
+def command_line(*words: object) -> str:
+    """A command of piegraph, to be pasted into a shell: what has spaces is quoted."""
+    return shlex.join(["piegraph", *map(str, words)])
 
 
 class PiegraphError(Exception):

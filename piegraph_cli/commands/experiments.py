@@ -9,7 +9,7 @@ import typer
 
 from piegraph_cli.commands import names
 from piegraph_cli.commands.answer import error_object
-from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs
+from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs, running
 from piegraph_cli.commands.output import Report, emit, logging_to
 from piegraph_cli.errors import DataError
 
@@ -51,14 +51,12 @@ def reproduce(
 
     Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
     """
-    from piegraph_cli.workspace.execute import Options
-
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
         place = folder / "troubles"
         return emit(_told_before(place) if show else _troubles(place, quick, set or (), envs, jobs), as_json)
     chosen = _chosen(experiment, quick, set or (), envs, data)
-    options = None if show else Options((), False, jobs, backend, device)
+    options = None if show else running((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
     emit(_together(reports), as_json)
 

@@ -10,6 +10,7 @@ from piegraph_cli.commands.output import Report, emit
 from piegraph_cli.errors import UsageError
 from piegraph_cli.params import split_commas
 from piegraph_cli.recording.params import LAYOUT_HELP
+from piegraph_cli.text import counted
 
 if TYPE_CHECKING:
     from piegraph_cli.perception.look import Look, LookSettings
@@ -96,7 +97,8 @@ def _report(source: str, scene: "Scene", seen: "Look", out: Path | None, picture
     from piegraph_cli.stages.look import look_value
 
     bad = seen.verdict == "bad"
-    lines = [f"{seen.verdict}: {len(seen.cloud)} points, {len(seen.chosen)} particles in {seen.seconds['total']:.2f} s"]
+    found = f"{counted(len(seen.cloud), 'point')}, {counted(len(seen.chosen), 'particle')}"
+    lines = [f"{seen.verdict}: {found} in {seen.seconds['total']:.2f} s"]
     for finding in seen.findings:
         accepted = finding.name in seen.accepted and finding.checks[0].verdict == "bad"
         lines.append(f"{'accepted' if accepted else finding.checks[0].verdict}: {finding.name}: {finding.text}")

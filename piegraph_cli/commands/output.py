@@ -14,6 +14,7 @@ from piegraph_cli import __version__
 from piegraph_cli.commands.answer import answer, error_object
 from piegraph_cli.errors import DataError, MissingError, PiegraphError, UsageError
 from piegraph_cli.stages import STAGES
+from piegraph_cli.text import Column, Line, Table, plain
 
 if TYPE_CHECKING:
     from piegraph_cli.workspace.execute import Outcome
@@ -27,7 +28,7 @@ class Report:
     """What a command tells: the `result` of `--json`, lines for people, and the exit code."""
 
     value: dict[str, Any] | None
-    lines: list[str]
+    lines: Sequence[Line]
     exit_code: int = 0
     error: PiegraphError | None = None
     """Why the exit code is not 0; by default the lines say it."""
@@ -42,30 +43,42 @@ def emit(report: Report, as_json: bool) -> None:
         answer().warnings += report.warnings
         answer().error = error_object(_why(report)) if report.exit_code else None
     else:
-        print("\n".join(report.lines))
+        _show(report.lines)
     if report.exit_code:
         raise typer.Exit(report.exit_code)
+
+
+def _show(lines: Sequence[Line]) -> None:
+    """Print lines; tables are drawn where stdout is a terminal, and are plain text in files and pipes."""
+    if sys.stdout.isatty() and any(isinstance(line, Table) for line in lines):
+        from piegraph_cli.commands.terminal import show
+
+        show(lines)
+    else:
+        print("\n".join(plain(lines)))
 
 
 def _why(report: Report) -> PiegraphError:
     """Why a command did not end with 0."""
     kinds = {kind.exit_code: kind for kind in (UsageError, DataError, MissingError)}
-    return report.error or kinds.get(report.exit_code, PiegraphError)("\n".join(report.lines[-1:]))
+    return report.error or kinds.get(report.exit_code, PiegraphError)("\n".join(plain(report.lines)[-1:]))
 
 
 def summary(outcomes: "Sequence[Outcome]", folder: Path) -> Report:
     """A line per stage, or per unit where there are few; failures last. The exit code is the first failure's."""
-    lines, failed = [], [o for o in outcomes if o.error]
+    rows, failed = [], [o for o in outcomes if o.error]
     for name in dict.fromkeys(o.stage for o in outcomes):
         of_stage = [o for o in outcomes if o.stage == name and not o.error]
         if len(of_stage) > FEW:
             cached = sum(o.state == "cached" for o in of_stage)
-            units = f"{STAGES[name].unit}s"
-            lines.append(
-                f"{name:24s} {len(of_stage)} {units}, {cached} of them fresh already; last: {of_stage[-1].quality}"
-            )
+            units = f"{len(of_stage)} {STAGES[name].unit}s"
+            state = "cached" if cached == len(of_stage) else f"done, {cached} of them cached" if cached else "done"
+            rows.append((name, units, state, f"last: {of_stage[-1].quality}"))
         else:
-            lines += [f"{name} {o.unit or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
+            rows += [(name, o.unit or "", o.state, o.quality) for o in of_stage]
+    lines: list[Line] = [
+        Table([Column("stage", 9), Column("of", 14), Column("state", 6), Column("result")], rows)
+    ] * bool(rows)
     if failed:
         lines.append("failed: " + ", ".join(f"{o.stage} {o.unit}" if o.unit else o.stage for o in failed))
     value = {
@@ -75,7 +88,7 @@ def summary(outcomes: "Sequence[Outcome]", folder: Path) -> Report:
     return _ended(value, lines or ["nothing to do"], outcomes)
 
 
-def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[Outcome]") -> Report:
+def with_failures(value: dict[str, Any], lines: list[Line], outcomes: "Sequence[Outcome]") -> Report:
     """What a run has of a stage and what it has not: units whose inputs nobody made, with the command that makes these,
     and units that failed.
     """
@@ -102,7 +115,7 @@ def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[O
     return _ended(value, lines, outcomes)
 
 
-def _ended(value: dict[str, Any], lines: list[str], outcomes: "Sequence[Outcome]") -> Report:
+def _ended(value: dict[str, Any], lines: Sequence[Line], outcomes: "Sequence[Outcome]") -> Report:
     """A report that ends as the first failure says."""
     error = next((o.error for o in outcomes if o.error), None)
     return Report(value, lines, error.exit_code if error else 0, error)

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from piegraph_cli import __version__
-from piegraph_cli.commands import experiments, look, record, runs, tools
+from piegraph_cli.commands import experiments, look, record, runs, survey, tools
 from piegraph_cli.commands.answer import answering, error_object, wants_json
 from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.serve import serve
@@ -20,7 +20,7 @@ from piegraph_cli.errors import PiegraphError, UsageError
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
-    "Runs": {"run": runs.run, "status": runs.status, "clean": runs.clean, "report": runs.report, "view": runs.view},
+    "Runs": {"run": runs.run, "status": survey.status, "clean": survey.clean, "report": runs.report, "view": runs.view},
     "Robots": {"serve": serve},
     "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},
@@ -150,6 +150,10 @@ def _ended(arguments: Sequence[str]) -> int:
         code = app(list(arguments) or ["--help"], prog_name="piegraph", standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         code = Interrupted.exit_code
+    except SystemExit as ended:
+        if ended.code == 1:  # typer's word for a reader that has left
+            raise BrokenPipeError from None
+        raise
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
         command = f"piegraph {context.info_name}" if context is not None and context.parent is not None else "piegraph"
@@ -162,4 +166,10 @@ def _ended(arguments: Sequence[str]) -> int:
 def main() -> None:
     """The `piegraph` program."""
     sys.unraisablehook = _interrupt_again
-    sys.exit(call(sys.argv[1:]))
+    try:
+        code = call(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # who read it has left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 128 + signal.SIGPIPE
+    sys.exit(code)

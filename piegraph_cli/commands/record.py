@@ -13,7 +13,8 @@ import typer
 
 from piegraph_cli.commands.options import AsJson
 from piegraph_cli.commands.output import Report, emit
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import UsageError, command_line
+from piegraph_cli.text import counted
 
 if TYPE_CHECKING:
     from piegraph_cli.capture.cameras import Mode
@@ -113,7 +114,7 @@ def _prepared(
     notes += [f"{name} is what a take left that was killed: remove it" for name in unfinished(recording)]
     for note in notes:
         log.warning("note: %s", note)
-    _say(f"{len(models)} cameras, {load.needed:.0f} MB a second, space for {load.seconds / 60:.0f} minutes")
+    _say(f"{counted(len(models), 'camera')}, {load.needed:.0f} MB a second, space for {load.seconds / 60:.0f} minutes")
     return models
 
 
@@ -142,12 +143,15 @@ def _report(recording: Path, session: "Session", board: bool) -> Report:
     unposed = [name for name, entry in file.cameras.items() if entry.T_world_camera is None]
     following = ""
     if board:
-        following = f"piegraph calibrate {recording} --sequence board"
+        following = command_line("calibrate", recording, "--sequence", "board")
     elif unposed:
-        following = f"piegraph record {recording} --board, then piegraph calibrate {recording} --sequence board"
+        following = f"{command_line('record', recording, '--board')}, then "
+        following += command_line("calibrate", recording, "--sequence", "board")
     kept = [taken for taken in session.taken if taken.kept]
-    lines = [f"{taken.sequence}: {taken.seconds:.1f} s, {sum(taken.frames.values())} images" for taken in kept]
-    lines += [f"{len(kept)} takes in {recording}"] + ([f"next: {following}"] if following else [])
+    lines = [
+        f"{taken.sequence}: {taken.seconds:.1f} s, {counted(sum(taken.frames.values()), 'image')}" for taken in kept
+    ]
+    lines += [f"{counted(len(kept), 'take')} in {recording}"] + ([f"next: {following}"] if following else [])
     rows: list[dict[str, Any]] = [
         {"sequence": t.sequence, "frames": t.frames, "dropped": t.dropped, "seconds": t.seconds, "kept": t.kept}
         for t in session.taken

@@ -6,7 +6,7 @@ import secrets
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -50,28 +50,32 @@ def serve(
     It serves until Ctrl-C or SIGTERM, or, with --stdio, until stdin ends. What to send is in docs/robot.md.
     """
     _check(run, model, recording, live)
-    token = None if stdio else _token(host, token_file)
     signal.signal(signal.SIGTERM, _end)
+    what = (run, model, recording, live, device)
     if stdio:
-        _serve_lines(run, model, recording, live, device)
-        return
+        _on_stdio(what)
+    else:
+        _on_http(what, host, port, _token(host, token_file), as_json)
+
+
+def _on_stdio(what: tuple[Any, ...]) -> None:
+    from piegraph_cli.service.setup import opened_service
+    from piegraph_cli.service.stdio import serve_lines, stdout_alone
+
+    with stdout_alone() as answers, opened_service(*what) as service:
+        print(f"{_what(service)} answers JSON lines on stdin", file=sys.stderr, flush=True)
+        serve_lines(service, sys.stdin.buffer, answers)
+
+
+def _on_http(what: tuple[Any, ...], host: str, port: int, token: str | None, as_json: bool) -> None:
     from piegraph_cli.service.http import Gate, listen, make_server
 
     with listen(host, port) as socket:  # before the model is read: a port that is taken is said at once
         from piegraph_cli.service.setup import opened_service
 
-        with opened_service(run, model, recording, live, device) as service:
+        with opened_service(*what) as service:
             _tell(service, f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}", as_json)
             make_server(service, Gate(host, token)).run([socket])
-
-
-def _serve_lines(run: Path | None, model: str | None, recording: Path | None, live: bool, device: str) -> None:
-    from piegraph_cli.service.setup import opened_service
-    from piegraph_cli.service.stdio import serve_lines, stdout_alone
-
-    with stdout_alone() as answers, opened_service(run, model, recording, live, device) as service:
-        print(f"{_what(service)} answers JSON lines on stdin", file=sys.stderr, flush=True)
-        serve_lines(service, sys.stdin.buffer, answers)
 
 
 def _end(*_: object) -> NoReturn:

@@ -53,15 +53,28 @@ class Model:
         return predict(torch.as_tensor(now), strokes.to(torch.float32)).numpy()
 
     def plan(
-        self, state: Any, *, goal: Any = None, goal_pose: Any = None, corresponds: bool = False, **settings: Any
+        self,
+        state: Any,
+        *,
+        goal: Any = None,
+        goal_pose: Any = None,
+        goal_at: Any = None,
+        rest: Any = None,
+        corresponds: bool = False,
+        **settings: Any,
     ) -> Answer:
         """The next strokes for an object whose cloud or particles are `state` [P, 3] (m), P at least `particles`.
 
-        The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, or a
-        motion of the object (DX, DY (m), DYAW (rad)). Both lie in the world of the table that the settings name; what is
-        planned has the table at z = 0. Settings are those of `piegraph plan`. No strokes where the goal is
-        reached already. Raises `UsageError` for settings, and `DataError` for states and goals, that cannot be used.
+        The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, a
+        motion of the object from where it is now (DX, DY (m), DYAW (rad)), or a pose in the world (X, Y (m), YAW (rad)):
+        where the middle of the trained rest shape, `trained.rest`, shall be, and how far it is turned from how that lies.
+        With `rest` [N, 3] (m), its rest shape, the state are its particles in the same order, as a tracker follows them.
+        State and goal lie in the world of the table that the settings name; what is planned has the table at z = 0.
+        Settings are those of `piegraph plan`. No strokes where the goal is reached already. Raises `UsageError` for settings,
+        and `DataError` for states and goals, that cannot be used.
         """
-        values = self.settings.model_dump() | {"model": self.label, "goal_pose": goal_pose} | settings
+        values = (
+            self.settings.model_dump() | {"model": self.label, "goal_pose": goal_pose, "goal_at": goal_at} | settings
+        )
         params = validated(PlanParams, values, "plan", "Model.plan", "piegraph plan --help")
-        return answer(self.trained, params, state, goal, corresponds=corresponds, device=self.device)
+        return answer(self.trained, params, state, goal, rest=rest, corresponds=corresponds, device=self.device)

@@ -10,6 +10,7 @@ import torch
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.kernels.lanes import in_parts
 from piegraph_cli.params import PICK, PUSH
+from piegraph_cli.planning.path import hits, tool_boxes
 
 CLEARANCE = 0.008
 """Metres between the pusher's start and its first contact."""
@@ -55,6 +56,10 @@ class StrokeSpace:
     """How far the object reaches beyond its particles, metres."""
     workspace: tuple[float, ...]
     """xmin, xmax, ymin, ymax, ... [m]: a stroke's ends stay inside."""
+    retreat: float = 0.0
+    """How far a push goes back along itself before the tool rises, metres."""
+    keep_out: tuple[tuple[float, ...], ...] = ()
+    """xmin, xmax, ymin, ymax, zmin, zmax [m]: boxes that the tool does not enter."""
 
     @cached_property
     def _bounds(self) -> dict[int, tuple[torch.Tensor, torch.Tensor]]:
@@ -143,7 +148,7 @@ class StrokeSpace:
     def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[Strokes, torch.Tensor]:
         """Strokes [B] on positions [B, N, 3] (m), and whether each is feasible [B].
 
-        Infeasible: a push that passes by or grazes, see `DEPTH`, or an end outside the workspace.
+        Infeasible: a push that passes by or grazes, see `DEPTH`, and what leaves the workspace or enters a box.
         """
         mode, ends = proposals[:, 0], proposals.new_zeros(2, len(proposals), 2)
         start, end, feasible = *ends, ends[0, :, 0] > 0
@@ -155,7 +160,22 @@ class StrokeSpace:
                 chosen = positions if here.all() else positions[here]
                 start[here], end[here], feasible[here] = make(chosen, proposals[here, 1:])
         held = torch.zeros(len(mode), 2, dtype=torch.bool, device=mode.device)
-        return Strokes(start, end, mode.long(), held), feasible & self._inside(torch.stack([start, end]))
+        return Strokes(start, end, mode.long(), held), feasible & self.clear(start, end, mode)
+
+    def clear(self, start: torch.Tensor, end: torch.Tensor, mode: torch.Tensor) -> torch.Tensor:
+        """Whether the tool on the whole path of strokes from start to end [B, 2] (m) stays where it may go: [B]."""
+        inside = self._inside(torch.stack([start, end]))
+        if not self.keep_out and self.retreat <= self.min_length:
+            return inside  # what goes back no further than it came stays between the ends
+        along = end - start
+        beyond = (self.retreat / along.norm(dim=-1).clamp_min(SHORTEST) - 1).clamp_min(0) * (mode == PUSH)
+        begin = start - along * beyond[:, None]
+        inside = inside & self._inside(torch.stack([begin, end]))
+        return inside & ~hits(begin, end, mode == PICK, self._boxes) if self.keep_out else inside
+
+    @cached_property
+    def _boxes(self) -> torch.Tensor:
+        return tool_boxes(self.keep_out, self.pusher_radius).to(self.edges.device)
 
     def _pushes(
         self, positions: torch.Tensor, numbers: torch.Tensor

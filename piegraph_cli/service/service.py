@@ -138,7 +138,7 @@ class Service:
             device=self.model.device,
         )
         seconds = {"plan": time.perf_counter() - begin}
-        value = answer_value(found, told_by(params, self.robot), request.candidates)
+        value = answer_value(found, params, told_by(params, self.robot), request.candidates)
         warnings = value.pop("warnings")
         for row in value["strokes"]:
             row["predicted"] = written(row["predicted"], request.encoding)

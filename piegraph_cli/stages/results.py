@@ -120,6 +120,19 @@ class Evaluation(Result):
     failed: list[Failed]
 
 
+class WayPoint(Result):
+    """Where the tool's tip is at a time."""
+
+    time: float
+    """From the beginning of the stroke's path [s]."""
+    point: tuple[float, float, float]
+    """[m], in the frame of the plan."""
+    part: Literal["approach", "stroke", "retreat"]
+    """What it ends."""
+    closed: bool
+    """Whether a gripper is closed from there on."""
+
+
 class Stroke(Result):
     """A stroke of a plan. Start and end are [x, y] on the table in the run's world, or [x, y, z] in another frame."""
 
@@ -138,6 +151,8 @@ class Stroke(Result):
     """To the goal after the stroke [m], where it was executed."""
     blocked: bool | None = None
     """Whether the tool was stopped, where it was executed."""
+    path: list[WayPoint]
+    """The tool's whole way: approach, stroke, retreat."""
 
 
 class Plan(Result):
@@ -151,6 +166,8 @@ class Plan(Result):
     frame: str
     """`world` or `robot`."""
     units: Literal["m"]
+    goal: str | None = None
+    """In words, and in which frame it was given; of a plan from a cloud."""
     metric: str
     """The distance to the goal."""
     start_distance: list[float]

@@ -1,9 +1,8 @@
 """Reading and writing one artifact: an HDF5 file that is complete or absent, checked when read."""
 
-import contextlib
 import datetime
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,32 +126,20 @@ def read_artifact(path: Path, name: str | None = None, only: Collection[str] | N
 
     Raises `DataError` naming file and dataset when something is off.
     """
-    import h5py
-
     with _open(path, name or "") as file:
         attributes = _attributes(file, path, name)
         name = attributes["artifact"]
         arrays: dict[str, np.ndarray] = {}
-
-        def take(dataset: str, item: "h5py.Dataset | h5py.Group") -> None:
-            if isinstance(item, h5py.Dataset) and (only is None or dataset in only):
-                if item.dtype.hasobject:
-                    raise DataError(
-                        f"dataset {dataset} has a type that is not allowed", str(path), _remake(path, attributes)
-                    )
-                try:
-                    arrays[dataset] = item[()]
-                except (OSError, ValueError, MemoryError) as error:
-                    raise DataError(
-                        f"dataset {dataset} is damaged: {error}", str(path), _remake(path, attributes)
-                    ) from None
-
-        file.visititems(take)
-    check_arrays(path, name, arrays, _remake(path, attributes), only)
+        for dataset, item in datasets_of(file, path, _remake(attributes), only).items():
+            try:
+                arrays[dataset] = item[()]
+            except (OSError, ValueError, MemoryError) as error:
+                raise DataError(f"dataset {dataset} is damaged: {error}", str(path), _remake(attributes)) from None
+    check_arrays(path, name, arrays, _remake(attributes), only)
     try:
         params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
     except ValueError:
-        raise DataError("its params or inputs attribute is damaged", str(path), _remake(path, attributes)) from None
+        raise DataError("its params or inputs attribute is damaged", str(path), _remake(attributes)) from None
     return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays)
 
 
@@ -192,8 +179,7 @@ def read_header(path: Path, name: str) -> Header | None:
         return None
 
 
-@contextlib.contextmanager
-def _open(path: Path, name: str) -> "Iterator[h5py.File]":
+def _open(path: Path, name: str, cache: int | None = None) -> "h5py.File":
     import h5py
 
     if not path.is_file():
@@ -201,13 +187,40 @@ def _open(path: Path, name: str) -> "Iterator[h5py.File]":
             f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them"
         )
     try:
-        file = h5py.File(path, "r", locking=False)  # files are replaced whole, never written in place
+        # files are replaced whole, never written in place
+        return h5py.File(path, "r", locking=False, rdcc_nbytes=cache)
     except OSError as error:
         raise DataError(
             f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again"
         ) from None
-    with file:
-        yield file
+
+
+def open_file(path: Path, name: str, cache: int) -> "tuple[h5py.File, dict[str, str]]":
+    """An artifact's file, to be closed by the caller, and its root attributes; `cache` bytes of each dataset are kept."""
+    file = _open(path, name, cache)
+    try:
+        return file, _attributes(file, path, name)
+    except BaseException:
+        file.close()
+        raise
+
+
+def datasets_of(
+    file: "h5py.File", path: Path, hint: str, only: Collection[str] | None = None
+) -> "dict[str, h5py.Dataset]":
+    """The datasets of an artifact's file by name, or `only` some, unread. Raises `DataError` for types that run code."""
+    import h5py
+
+    found: dict[str, h5py.Dataset] = {}
+
+    def take(dataset: str, item: "h5py.Dataset | h5py.Group") -> None:
+        if isinstance(item, h5py.Dataset) and (only is None or dataset in only):
+            if item.dtype.hasobject:
+                raise DataError(f"dataset {dataset} has a type that is not allowed", str(path), hint)
+            found[dataset] = item
+
+    file.visititems(take)
+    return found
 
 
 def _attributes(file: "h5py.File", path: Path, name: str | None) -> dict[str, str]:
@@ -229,7 +242,7 @@ def _attributes(file: "h5py.File", path: Path, name: str | None) -> dict[str, st
     return attributes  # type: ignore[return-value]
 
 
-def _remake(path: Path, attributes: Mapping[str, str]) -> str:
+def _remake(attributes: Mapping[str, str]) -> str:
     return f"make it again: `piegraph {attributes['stage']} --force`"
 
 
@@ -237,6 +250,18 @@ def check_arrays(
     path: Path, name: str, arrays: "Mapping[str, np.ndarray]", hint: str = "", only: Collection[str] | None = None
 ) -> None:
     """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
+    check_form(path, name, arrays, hint, only)
+    check_values(path, name, arrays, hint)
+
+
+def check_form(
+    path: Path,
+    name: str,
+    arrays: "Mapping[str, np.ndarray | h5py.Dataset]",
+    hint: str = "",
+    only: Collection[str] | None = None,
+) -> dict[str, int]:
+    """Check what needs no reading, names, types and axes; returns the lengths of the axes by name."""
     import numpy as np
 
     needed = [d for d, field in SCHEMAS[name].items() if not (d.endswith("/*") or field.optional)]
@@ -253,17 +278,30 @@ def check_arrays(
             raise DataError(f"type {value.dtype}, expected {field.dtype}", where, hint)
         if field.axes != "*":
             _check_axes(value, field.axes.split(",") if field.axes else [], lengths, where, hint)
-        if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
-            row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
-            raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
-        if field.ends:
-            _check_offsets(value, arrays.get(field.ends), field.ends, where, hint)
     if {"image", "frame", "camera"} <= lengths.keys() and lengths["image"] != lengths["frame"] * lengths["camera"]:
         message = f"{lengths['image']} images, expected {lengths['frame']} frames of {lengths['camera']} cameras"
         raise DataError(message, str(path), hint)
+    return lengths
 
 
-def _check_axes(value: "np.ndarray", axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
+def check_values(path: Path, name: str, arrays: "Mapping[str, np.ndarray]", hint: str = "", part: bool = False) -> None:
+    """Check finiteness, and offsets unless these are a `part` of the datasets."""
+    import numpy as np
+
+    for dataset, value in arrays.items():
+        field = field_of(name, dataset)
+        where = f"{path}, dataset {dataset}"
+        assert field is not None
+        if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
+            row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
+            raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
+        if field.ends and not part:
+            _check_offsets(value, arrays.get(field.ends), field.ends, where, hint)
+
+
+def _check_axes(
+    value: "np.ndarray | h5py.Dataset", axes: list[str], lengths: dict[str, int], where: str, hint: str
+) -> None:
     if value.ndim != len(axes):
         raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
     for axis, length in zip(axes, value.shape, strict=True):

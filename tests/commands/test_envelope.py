@@ -2,6 +2,8 @@
 
 import json
 import logging
+import os
+import subprocess
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from piegraph_cli import __version__
 from piegraph_cli.commands.output import Report, emit
 from piegraph_cli.errors import DataError, MissingError
+from tests.cli import PROGRAM
 from tests.commands.inside import envelope, piegraph
 
 NAMES = ["command", "version", "result", "warnings", "error"]
@@ -126,3 +129,12 @@ def test_units_that_fail_are_objects_and_the_first_is_the_error(tmp_path):
     assert list(first["error"]) == ERROR
     assert first["error"] == found["error"]
     assert first["trial"] != second["trial"]
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_a_reader_that_leaves_is_no_bug(options):
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([*PROGRAM, "list", *options], stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")

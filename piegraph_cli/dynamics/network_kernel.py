@@ -8,6 +8,8 @@ inverse, which leaves one power of two and one division of it, -log2(e) silu(t) 
 
 import functools
 import math
+import threading
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,9 +23,11 @@ from piegraph_cli.kernels.lanes import (
     BLOCK_KERNEL,
     KERNEL,
     Launch,
+    Standing,
     accessors,
     bandwidth_order,
     barrier,
+    cores,
     roots,
     start_warp,
     vector,
@@ -31,6 +35,9 @@ from piegraph_cli.kernels.lanes import (
 
 LANES = 64
 """Candidates in a group on a CPU. Measured: 16 and 32 take two to three times as long, being unrolled, not vectorised."""
+
+STANDING = 4
+"""Launches kept for one object: of the sizes of batch that come again."""
 
 TILE = 4
 """Channels worked on together, so that their sums stay in registers; hidden sizes are padded to it."""
@@ -792,11 +799,13 @@ class NetworkKernel:
     def __init__(self, network: EGNN, rest: Rest):
         start_warp()
         self.network = network
+        self.standing: dict[tuple[torch.Size, int, int], Standing] = {}
         self.weights = _pack(network, rest.neighbors.shape[-1], str(rest.positions.device))
         self.look_at(rest)
 
     def look_at(self, rest: Rest) -> None:
         """Predict for another object from now on, with as many neighbours of each particle."""
+        self.standing.clear()
         neighbors = rest.neighbors[0].cpu().numpy()
         particles, count = neighbors.shape
         owner = np.repeat(np.arange(particles), count)
@@ -815,18 +824,33 @@ class NetworkKernel:
             row = grasped_particle(positions, strokes)
             height = positions[torch.arange(len(row), device=row.device), row, 2:]
             grasps = torch.cat([self.rest[row], height], -1)
+        given = positions, strokes.packed()[:, None], grasps[:, None]
+        if positions.device.type == "cpu":
+            return self._standing(positions.shape)(*given)
         out = torch.empty(positions.shape, device=positions.device)
-        scene = Scene()
-        scene.positions = wp.from_torch(positions.contiguous(), requires_grad=False)
-        scene.strokes = wp.from_torch(strokes.packed()[:, None], requires_grad=False)
-        scene.grasps = wp.from_torch(grasps[:, None].contiguous(), requires_grad=False)
-        scene.out = wp.from_torch(out)
-        scene.order, scene.neighbors = self.graph
-        scene.rest = wp.from_torch(self.rest, requires_grad=False)
-        self._launch(len(positions), positions.device, scene)
+        launch, kernel, arguments = self._prepare(*(a.contiguous() for a in given), out)
+        launch.run(kernel, arguments)
         return out
 
-    def _launch(self, batch: int, device: torch.device, scene: Scene) -> None:
+    def _standing(self, shape: torch.Size) -> Standing:
+        """The launch for so many candidates, by this thread."""
+        key = shape, cores(), threading.get_ident()
+        if key not in self.standing:
+            if len(self.standing) == STANDING:
+                self.standing.clear()
+            self.standing[key] = Standing((shape, (shape[0], 1, 7), (shape[0], 1, 4), shape), self._prepare)
+        return self.standing[key]
+
+    def _prepare(
+        self, positions: Tensor, strokes: Tensor, grasps: Tensor, out: Tensor
+    ) -> tuple[Launch, wp.Kernel, list[Any]]:
+        """What to launch for positions and out [B, N, 3], strokes [B, 1, 7] and grasps [B, 1, 4]."""
+        scene = Scene()
+        for name, array in (("positions", positions), ("strokes", strokes), ("grasps", grasps), ("out", out)):
+            setattr(scene, name, wp.from_torch(array, requires_grad=False))
+        scene.order, scene.neighbors = self.graph
+        scene.rest = wp.from_torch(self.rest, requires_grad=False)
+        batch, device = len(positions), positions.device
         particles, count = self.graph[1].shape
         hidden = self.weights.embed.shape[1]
         on_cpu = device.type == "cpu"
@@ -846,7 +870,7 @@ class NetworkKernel:
             setattr(scratch, name, launch.scratch(*shape))
         picks, mirror = self.network.picks, self.network.mirror
         kernel = _kernel(launch.lanes, picks, mirror) if on_cpu else _kernel_blocks(picks, mirror)
-        launch.run(kernel, [scene, self.weights, scratch])
+        return launch, kernel, [scene, self.weights, scratch]
 
 
 def _pack(network: EGNN, count: int, device: str) -> Weights:

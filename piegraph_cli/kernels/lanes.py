@@ -209,6 +209,26 @@ class Launch:
         ]
 
 
+class Standing:
+    """A launch on the CPU to be repeated: preparing one takes Python a while, in which the other cores wait.
+
+    It works on tensors of its own: every call copies what is given to them, and gets a copy of the result.
+    """
+
+    def __init__(self, shapes: Sequence[Sequence[int]], prepare: Callable[..., tuple[Launch, wp.Kernel, list[Any]]]):
+        """`prepare` makes launch, kernel and arguments for tensors of these shapes, the last of them the result."""
+        with torch.inference_mode(False):  # else they could not be written to outside of it
+            *self.given, self.out = [torch.empty(shape) for shape in shapes]
+        launch, kernel, self.arguments = prepare(*self.given, self.out)
+        self.commands = launch.commands(kernel, self.arguments)
+
+    def __call__(self, *given: torch.Tensor) -> torch.Tensor:
+        for own, now in zip(self.given, given, strict=True):
+            own.copy_(now)
+        _each(wp.Launch.launch, self.commands)
+        return self.out.clone()
+
+
 @functools.cache
 def _multiprocessors(device: torch.device) -> int:
     return torch.cuda.get_device_properties(device).multi_processor_count

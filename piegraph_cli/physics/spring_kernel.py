@@ -18,10 +18,12 @@ from piegraph_cli.kernels.lanes import (
     BLOCK_KERNEL,
     KERNEL,
     Launch,
+    Standing,
     accessors,
     any_thread,
     bandwidth_order,
     barrier,
+    cores,
     roots,
     start_warp,
     vector,
@@ -640,11 +642,20 @@ def guide(
     if not recording():
         check_guidance(positions, setpoint, graph, params, weights)
     weights = torch.ones_like(positions[..., 0]) if weights is None else weights
+    given = positions, setpoint, weights[..., None], torch.zeros_like(setpoint)
+    if positions.device.type == "cpu":
+        known = GuidanceParams(**{name: getattr(params, name) for name in GuidanceParams.model_fields})
+        return _guide_of(graph, known, len(positions), cores(), threading.get_ident())(*given)
     out = torch.empty(positions.shape, device=positions.device)
-    tensors = [a.contiguous() for a in (positions, setpoint, weights[..., None])]
-    launch, kernel, arguments = _guidance(*tensors, torch.zeros_like(tensors[0]), out, graph, params)
+    launch, kernel, arguments = _guidance(*(a.contiguous() for a in given), out, graph, params)
     launch.run(kernel, arguments)
     return out
+
+
+@functools.lru_cache(maxsize=8)
+def _guide_of(graph: SpringGraph, params: GuidanceParams, batch: int, cores: int, thread: int) -> Standing:
+    shapes = [(batch, graph.particles, columns) for columns in (3, 3, 1, 3, 3)]
+    return Standing(shapes, lambda *tensors: _guidance(*tensors, graph, params))
 
 
 def drive(

@@ -5,16 +5,19 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import warp as wp
 
 from piegraph_cli.dynamics import network_kernel
+from piegraph_cli.kernels import lanes
 from piegraph_cli.physics import spring_kernel
 
 CODE = """
 import logging, sys
 logging.basicConfig(format="%(message)s")
 import torch
+from piegraph_cli.kernels import lanes
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.springs import build_springs
 graph = build_springs(torch.rand(9, 3).numpy(), 0.5)
@@ -76,3 +79,12 @@ def test_the_kernels_of_a_gpu_compile(tmp_path):
     for number, kernel in enumerate(kernels):
         wp.compile_aot_module(kernel.module, arch=80, module_dir=str(tmp_path / str(number)))
         assert list((tmp_path / str(number)).glob("*.sm80.*"))
+
+
+@pytest.mark.parametrize("used", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 4, 5, 17])
+def test_parts_come_back_in_their_order(monkeypatch, used, count):
+    monkeypatch.setattr(lanes, "cores", lambda: used)
+    found = lanes.in_parts(lambda part: np.arange(count)[part], count, 4)
+    np.testing.assert_array_equal(np.concatenate(found), np.arange(count))
+    assert {len(part) for part in found[:-1]} <= {4}

@@ -14,7 +14,7 @@ from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, _deviation, solid_edges
+from piegraph_cli.planning.proposals import CLEARANCE, StrokeSpace, _deviation, _first_contacts, solid_edges
 from piegraph_cli.planning.search import INFEASIBLE, Search
 
 SQUARE = torch.tensor([[x, y, 0.0] for x in np.linspace(-0.05, 0.05, 6) for y in np.linspace(-0.05, 0.05, 6)]).float()
@@ -289,3 +289,22 @@ def test_the_loop_stops_at_success_at_its_limit_before_the_first_stroke_and_with
     world = SQUARE.clone()
     assert len(list(run_episode(SQUARE.numpy(), make_plan, act, cost, strokes=1, success=0.02))) == 1
     assert list(run_episode(SQUARE.numpy(), lambda _: None, act, cost, strokes=5, success=0.02)) == []
+
+
+def test_contacts_in_parts_are_those_of_all_at_once():
+    """To the last bit, for one state and for a state of each candidate: the root that nobody asks for changes nothing."""
+    generator = torch.Generator().manual_seed(0)
+    rest = torch.rand(30, 3, generator=generator) * 0.2
+    space = StrokeSpace((PUSH,), solid_edges(rest), 0.02, 0.14, 0.3, 0.01, 0.002, (-1, 1, -1, 1, 0, 1))
+    for positions in (rest.expand(150, -1, -1), rest + 0.01 * torch.randn(150, 30, 3, generator=generator)):
+        numbers = space.sample((150,), generator)[:, 1:]
+        whole = space._pushes(positions, numbers)
+        for first in range(0, 150, 50):
+            part = space._pushes(positions[first : first + 50], numbers[first : first + 50])
+            assert all(torch.equal(a[first : first + 50], b) for a, b in zip(whole, part, strict=True))
+        depth, apart = torch.randn(2, 150, 90, generator=generator).unbind()
+        apart = apart.square() * 1e-3
+        apart[:, ::7] = space._reaches[0]  # met by a hair: a miss
+        reach = space._reaches[:, None, None] - apart
+        plain = torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(-1)
+        assert torch.equal(_first_contacts(depth, apart, space._reaches), plain)

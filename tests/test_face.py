@@ -113,7 +113,7 @@ def test_what_cannot_be_planned_is_said(tiny_run, change, message):
 def test_a_plan_does_not_depend_on_how_dense_the_clouds_are(tiny_run):
     """Ten times as many points as a thinned goal has: nearly the same plan, in the time and memory of the thinned one."""
     model, rng = load_model(tiny_run), np.random.default_rng(0)
-    block = rng.uniform([-0.05, -0.05, 0], [0.05, 0.05, 0.03], (GOAL_POINTS, 3)).astype(np.float32)
+    block = rng.uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.035], (GOAL_POINTS, 3)).astype(np.float32)
     goals = block + np.float32([0.1, 0, 0]), np.repeat(block, 10, 0) + np.float32([0.1, 0, 0])
     thin, dense = (model.plan(block, goal=goal, horizon=1) for goal in goals)
     assert dense.start_distance == pytest.approx(thin.start_distance, abs=1e-3)

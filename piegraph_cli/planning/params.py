@@ -52,13 +52,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
-    goal: str | None = Field(None, description="goal cloud FILE[:FRAME] (.ply, .npz, .h5), of an .npz FILE:KEY too")
-    goal_pose: Pose2 | None = Field(
-        None, description="goal as a motion of the object from where it is now: DX,DY [m],DYAW [rad]"
-    )
-    goal_at: Pose2 | None = Field(
-        None, description="goal as a pose in the world, of the trained object's rest shape: X,Y [m],YAW [rad]"
-    )
+    goal: str | None = Field(None, description="goal: a cloud FILE[:KEY][:FRAME]")
+    goal_pose: Pose2 | None = Field(None, description="goal: moved by DX,DY [m],DYAW [rad] from now")
+    goal_at: Pose2 | None = Field(None, description="goal: pose X,Y [m],YAW [rad] in the world")
     table: Table | None = Field(
         None,
         description="plane of the table in the world of --state and --goal: HEIGHT [m], or HEIGHT,SLOPE_X,SLOPE_Y "

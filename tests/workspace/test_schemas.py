@@ -37,7 +37,8 @@ def all_settings() -> dict[str, dict[str, Any]]:
     files = Path(piegraph_cli.__file__).parent.glob("*/params.py")
     rooms = [importlib.import_module(f"piegraph_cli.{file.parent.name}.params") for file in sorted(files)]
     found = {one for room in rooms for one in vars(room).values() if isinstance(one, type) and issubclass(one, Params)}
-    return {one.__name__: settings_of(one) for one in sorted(found - {Params}, key=lambda one: one.__name__)}
+    by_name = {f"{one.__module__.split('.')[-2]}.{one.__name__}": one for one in found - {Params}}
+    return {name: settings_of(by_name[name]) for name in sorted(by_name)}
 
 
 def all_stages() -> dict[str, dict[str, Any]]:

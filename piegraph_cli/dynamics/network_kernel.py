@@ -10,6 +10,7 @@ import functools
 import math
 import threading
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -800,7 +801,7 @@ class NetworkKernel:
         start_warp()
         self.network = network
         self.standing: dict[tuple[torch.Size, int, int], Standing] = {}
-        self.weights = _pack(network, rest.neighbors.shape[-1], str(rest.positions.device))
+        self.weights = _packed(network, rest.neighbors.shape[-1], str(rest.positions.device))
         self.look_at(rest)
 
     def look_at(self, rest: Rest) -> None:
@@ -871,6 +872,17 @@ class NetworkKernel:
         picks, mirror = self.network.picks, self.network.mirror
         kernel = _kernel(launch.lanes, picks, mirror) if on_cpu else _kernel_blocks(picks, mirror)
         return launch, kernel, [scene, self.weights, scratch]
+
+
+def _packed(network: EGNN, count: int, device: str) -> Weights:
+    """The network's weights as `_pack` makes them, made once for as long as they stay what they are."""
+    state = count, device, tuple(parameter._version for parameter in network.parameters())
+    if network not in _PACKED or _PACKED[network][0] != state:
+        _PACKED[network] = state, _pack(network, count, device)
+    return _PACKED[network][1]
+
+
+_PACKED: "WeakKeyDictionary[EGNN, tuple[Any, Weights]]" = WeakKeyDictionary()
 
 
 def _pack(network: EGNN, count: int, device: str) -> Weights:

@@ -93,3 +93,10 @@ def test_order_of_candidates_and_of_particles_does_not_matter():
     mixed = torch.randperm(30, generator=torch.Generator().manual_seed(0))
     other = NetworkKernel(network, Rest.of(rest[None, mixed], 6))
     torch.testing.assert_close(other(states[:, mixed], strokes), found[:, mixed], atol=1e-6, rtol=0)
+
+
+def test_weights_that_change_in_place_are_read_again():
+    network = EGNN(6, 8, 2, True)
+    for seed in (0, 1):  # each with weights of its own, copied into the same network
+        assert difference(*case(seed, 3, 20, network), network)[0] < 1e-5
+        assert difference(*case(seed, 3, 20, network), network)[0] < 1e-5

@@ -3,6 +3,7 @@
 import contextlib
 import datetime
 import json
+import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,18 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli import __version__
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.workspace.schema import FIXED_AXES, SCHEMA_VERSION, SCHEMAS, Field, field_of
+from piegraph_cli.workspace.schema import LONG_TEXT, SCHEMA_VERSION, SCHEMAS, TEXT, Field, field_of
+from piegraph_cli.workspace.sealed import check_seal, sealed
+from piegraph_cli.workspace.structure import Found, attribute, datasets_in
+from piegraph_cli.workspace.values import check_arrays, check_shapes, check_values, groups_of
 
 if TYPE_CHECKING:  # imported where data is read or written: a look at what is known needs neither
     import h5py
     import numpy as np
 
 CHUNK_BYTES = 1 << 20
+CHECKED_FROM = 2
+"""The first schema version whose artifacts have a checksum."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,8 @@ class Artifact:
     inputs: dict[str, Any]
     quality: str
     arrays: "dict[str, np.ndarray]"
+    checked: bool = True
+    """Whether it has a checksum."""
 
     def __getitem__(self, dataset: str) -> "np.ndarray":
         return self.arrays[dataset]
@@ -82,8 +90,8 @@ def write_artifact(
         "software": f"piegraph {__version__}",
     }
     image = _image(path, name, attributes, arrays)
-    with atomic_file(path) as temporary:
-        temporary.write_bytes(image)
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
+        file.writelines(sealed(image))
 
 
 def _image(path: Path, name: str, attributes: Mapping[str, Any], arrays: "Mapping[str, np.ndarray]") -> bytes:
@@ -107,7 +115,22 @@ def _cast(name: str, dataset: str, value: "np.ndarray", path: Path) -> "np.ndarr
     value = np.asarray(value)
     if value.dtype.kind == "U":
         value = np.char.encode(value, "utf-8")
+    if value.dtype.kind == "S" and field.dtype in (TEXT, LONG_TEXT):
+        value = _fitting(value, field, f"{path}, dataset {dataset}")
     return value if field.dtype == "*" else value.astype(field.dtype, copy=False)
+
+
+def _fitting(texts: "np.ndarray", field: Field, where: str) -> "np.ndarray":
+    """Texts that are not too long for their field: long ones are cut, between two letters; a name that is cut is another."""
+    import numpy as np
+
+    most = np.dtype(field.dtype).itemsize
+    if texts.dtype.itemsize <= most:
+        return texts
+    whole = [text[:most].decode("utf-8", "ignore").encode() for text in texts.flat]
+    if field.dtype == TEXT and whole != list(texts.flat):
+        raise DataError(f"a text is longer than {most} bytes", where, "shorten the name")
+    return np.array(whole, field.dtype).reshape(texts.shape)
 
 
 def _write_dataset(file: "h5py.File", dataset: str, value: "np.ndarray", field: Field | None) -> None:
@@ -122,38 +145,35 @@ def _write_dataset(file: "h5py.File", dataset: str, value: "np.ndarray", field: 
     handle.attrs["units"], handle.attrs["axes"] = field.units, field.axes
 
 
-def read_artifact(path: Path, name: str | None = None, only: Collection[str] | None = None) -> Artifact:
+def read_artifact(
+    path: Path, name: str | None = None, only: Collection[str] | None = None, *, verified: bool = False
+) -> Artifact:
     """Read and check an artifact, or `only` some datasets; without a name whatever artifact the file holds.
 
-    Raises `DataError` naming file and dataset when something is off.
+    The checksum comes first, but of a file that was `verified` before; then what the file says it holds, then values. Raises
+    `DataError` naming file and dataset when something is off.
     """
-    import h5py
+    with _opened(path, name, verified) as (file, attributes, checked):
+        name, remake = attributes["artifact"], _remake(path, attributes)
+        found, lengths = _structure(file, path, name, remake)
+        wanted = [dataset for dataset in found if only is None or dataset in only]
+        arrays = {dataset: _values(file[dataset], f"{path}, dataset {dataset}", remake) for dataset in wanted}
+    check_values(str(path), name, arrays, found, lengths, remake)
+    params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
+    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays, checked)
 
-    with _open(path, name or "") as file:
-        attributes = _attributes(file, path, name)
-        name = attributes["artifact"]
-        arrays: dict[str, np.ndarray] = {}
 
-        def take(dataset: str, item: "h5py.Dataset | h5py.Group") -> None:
-            if isinstance(item, h5py.Dataset) and (only is None or dataset in only):
-                if item.dtype.hasobject:
-                    raise DataError(
-                        f"dataset {dataset} has a type that is not allowed", str(path), _remake(path, attributes)
-                    )
-                try:
-                    arrays[dataset] = item[()]
-                except (OSError, ValueError, MemoryError) as error:
-                    raise DataError(
-                        f"dataset {dataset} is damaged: {error}", str(path), _remake(path, attributes)
-                    ) from None
+def _structure(file: "h5py.File", path: Path, name: str, hint: str) -> "tuple[dict[str, Found], dict[str, int]]":
+    """What a file holds, as it says, and the lengths of axes. Raises `DataError` where that does not fit the schema."""
+    found = datasets_in(file, groups_of(name), str(path), hint)
+    return found, check_shapes(str(path), name, found, hint)
 
-        file.visititems(take)
-    check_arrays(path, name, arrays, _remake(path, attributes), only)
+
+def _values(dataset: "h5py.Dataset", where: str, hint: str) -> "np.ndarray":
     try:
-        params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
-    except ValueError:
-        raise DataError("its params or inputs attribute is damaged", str(path), _remake(path, attributes)) from None
-    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays)
+        return dataset[()]
+    except (OSError, ValueError, MemoryError) as error:
+        raise DataError(f"is damaged: {error}", where, hint) from None
 
 
 def read_key(path: Path, name: str) -> str | None:
@@ -171,6 +191,8 @@ class Header:
     settings: str
     """Its params as JSON."""
     quality: str
+    checked: bool = True
+    """Whether a checksum says that it is what was written."""
 
     @property
     def params(self) -> dict[str, Any]:
@@ -179,103 +201,70 @@ class Header:
 
 
 def read_header(path: Path, name: str) -> Header | None:
-    """The header of an artifact, or None when it is absent, damaged or of another schema."""
+    """The header of an artifact whose bytes are those that were written; None when it is absent, damaged or of another schema.
+
+    Of one without checksum, which only old ones are, the structure is looked at.
+    """
     if not path.is_file():
         return None
     try:
-        with _open(path, name) as file:
-            attributes = _attributes(file, path, name)
-            json.loads(attributes["params"])
-            version = int(file.attrs["stage_version"])
-            return Header(attributes["key"], version, attributes["params"], attributes["quality"])
-    except (DataError, KeyError, ValueError):
+        with _opened(path, name) as (file, attributes, checked):
+            version = attribute(file, "stage_version")
+            if not checked:
+                _structure(file, path, name, "")
+            return Header(attributes["key"], int(version), attributes["params"], attributes["quality"], checked)
+    except (DataError, TypeError, ValueError):
         return None
 
 
 @contextlib.contextmanager
-def _open(path: Path, name: str) -> "Iterator[h5py.File]":
+def _opened(path: Path, name: str | None, verified: bool = False) -> "Iterator[tuple[h5py.File, dict[str, str], bool]]":
+    """An artifact that is opened, its attributes, and whether it has a checksum; what HDF5 cannot read is a `DataError`."""
+    if not path.is_file():
+        what = "is not a regular file" if os.path.lexists(path) else f"no such {name or ''} artifact"
+        raise DataError(what, str(path), "run the stage that writes it; `piegraph status` lists them")
+    checked = check_seal(path, verified)
     import h5py
 
-    if not path.is_file():
-        raise DataError(
-            f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them"
-        )
     try:
-        file = h5py.File(path, "r", locking=False)  # files are replaced whole, never written in place
-    except OSError as error:
-        raise DataError(
-            f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again"
-        ) from None
-    with file:
-        yield file
+        with h5py.File(path, "r", locking=False) as file:  # files are replaced whole, never written in place
+            yield file, _attributes(file, path, name, checked), checked
+    except DataError:
+        raise
+    except Exception as error:  # whatever HDF5 and h5py raise for broken files
+        why = str(error) or type(error).__name__
+        hint = f"make the {name} again" if name else "copy it again from where it was made"
+        raise DataError(f"not a readable HDF5 file: {why}", str(path), hint) from None
 
 
-def _attributes(file: "h5py.File", path: Path, name: str | None) -> dict[str, str]:
-    import numpy as np
-
-    version = file.attrs.get("schema_version")
-    if isinstance(version, np.integer) and version > SCHEMA_VERSION:
-        raise DataError(
-            f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})",
-            str(path),
-            "update piegraph",
-        )
-    attributes = {k: file.attrs.get(k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
-    if version != SCHEMA_VERSION or not all(isinstance(value, str) for value in attributes.values()):
+def _attributes(file: "h5py.File", path: Path, name: str | None, checked: bool) -> dict[str, str]:
+    version = attribute(file, "schema_version")
+    known = not isinstance(version, str | None)
+    if known and version > SCHEMA_VERSION:
+        message = f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})"
+        raise DataError(message, str(path), "update piegraph")
+    attributes = {k: attribute(file, k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
+    if not known or version < 1 or not all(isinstance(value, str) for value in attributes.values()):
         raise DataError("not an artifact of this version", str(path), "make it again with --force")
+    if checked != (version >= CHECKED_FROM):
+        what = "has lost its checksum" if version >= CHECKED_FROM else "has a checksum that it cannot have"
+        raise DataError(f"is not what was written: it {what}", str(path), _remake(path, attributes))
     if attributes["artifact"] not in ([name] if name else SCHEMAS):
         expected = f", expected {name}" if name else ""
         raise DataError(f"holds {attributes['artifact']}{expected}", str(path), "give the file of the right stage")
-    return attributes  # type: ignore[return-value]
+    for text in ("params", "inputs"):
+        _check_json(attributes[text], path, attributes)
+    return attributes
+
+
+def _check_json(text: str, path: Path, attributes: Mapping[str, str]) -> None:
+    try:
+        whole = isinstance(json.loads(text), dict)
+    except (ValueError, RecursionError):
+        whole = False
+    if not whole:
+        raise DataError("its params or inputs attribute is damaged", str(path), _remake(path, attributes))
 
 
 def _remake(path: Path, attributes: Mapping[str, str]) -> str:
     return f"make it again: `piegraph {attributes['stage']} --force`"
-
-
-def check_arrays(
-    path: Path, name: str, arrays: "Mapping[str, np.ndarray]", hint: str = "", only: Collection[str] | None = None
-) -> None:
-    """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
-    import numpy as np
-
-    needed = [d for d, field in SCHEMAS[name].items() if not (d.endswith("/*") or field.optional)]
-    missing = [d for d in needed if d not in arrays and (only is None or d in only)]
-    if missing:
-        raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
-    lengths = dict(FIXED_AXES)
-    for dataset, value in arrays.items():
-        field = field_of(name, dataset)
-        where = f"{path}, dataset {dataset}"
-        if field is None:
-            raise DataError("not a dataset of this artifact", where, hint)
-        if field.dtype != "*" and value.dtype != np.dtype(field.dtype):
-            raise DataError(f"type {value.dtype}, expected {field.dtype}", where, hint)
-        if field.axes != "*":
-            _check_axes(value, field.axes.split(",") if field.axes else [], lengths, where, hint)
-        if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
-            row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
-            raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
-        if field.ends:
-            _check_offsets(value, arrays.get(field.ends), field.ends, where, hint)
-    if {"image", "frame", "camera"} <= lengths.keys() and lengths["image"] != lengths["frame"] * lengths["camera"]:
-        message = f"{lengths['image']} images, expected {lengths['frame']} frames of {lengths['camera']} cameras"
-        raise DataError(message, str(path), hint)
-
-
-def _check_axes(value: "np.ndarray", axes: list[str], lengths: dict[str, int], where: str, hint: str) -> None:
-    if value.ndim != len(axes):
-        raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
-    for axis, length in zip(axes, value.shape, strict=True):
-        edge = int(axis.endswith("_edge"))
-        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis.removesuffix("_edge"), length - edge) + edge
-        if length != expected:
-            raise DataError(f"axis {axis} has length {length}, expected {expected}", where, hint)
-
-
-def _check_offsets(offsets: "np.ndarray", parts: "np.ndarray | None", name: str, where: str, hint: str) -> None:
-    """Check offsets [n + 1] against the dataset they cut; where that was not read, alone."""
-    rises = len(offsets) > 0 and offsets[0] == 0 and (offsets[1:] >= offsets[:-1]).all()
-    if not rises or (parts is not None and parts.shape[:1] != (offsets[-1],)):
-        length = "" if parts is None else f" to its end: {name} is {parts.shape}"
-        raise DataError(f"offsets into {name} do not rise from 0{length}", where, hint)

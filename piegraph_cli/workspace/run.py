@@ -236,7 +236,7 @@ class Run:
             default = f"piegraph run --run {self.folder} --until {producer.name}"
             hint = producer.command(self, unit) if producer.command else default
             raise InputError(f"{artifact} is {state}", str(self.path(artifact, unit)), hint)
-        return read_artifact(self.path(artifact, unit), artifact)
+        return self.known.read(_place(artifact, unit), self.path(artifact, unit), artifact)
 
     def state(self, stage: Stage, unit: Unit) -> str:
         """`fresh`, `stale`, `missing` or `failed`."""

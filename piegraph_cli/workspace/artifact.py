@@ -14,7 +14,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.workspace.schema import LONG_TEXT, SCHEMA_VERSION, SCHEMAS, TEXT, Field, field_of
 from piegraph_cli.workspace.sealed import check_seal, sealed
-from piegraph_cli.workspace.structure import Found, attribute, datasets_in
+from piegraph_cli.workspace.structure import Found, attribute, datasets_in, opened
 from piegraph_cli.workspace.values import check_arrays, check_shapes, check_values, groups_of
 
 if TYPE_CHECKING:  # imported where data is read or written: a look at what is known needs neither
@@ -153,11 +153,11 @@ def read_artifact(
     The checksum comes first, but of a file that was `verified` before; then what the file says it holds, then values. Raises
     `DataError` naming file and dataset when something is off.
     """
-    with _opened(path, name, verified) as (file, attributes, checked):
+    with _open(path, name, verified) as (file, attributes, checked):
         name, remake = attributes["artifact"], _remake(path, attributes)
         found, lengths = _structure(file, path, name, remake)
         wanted = [dataset for dataset in found if only is None or dataset in only]
-        arrays = {dataset: _values(file[dataset], f"{path}, dataset {dataset}", remake) for dataset in wanted}
+        arrays = {dataset: found[dataset].values(f"{path}, dataset {dataset}", remake) for dataset in wanted}
     check_values(str(path), name, arrays, found, lengths, remake)
     params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
     return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays, checked)
@@ -167,13 +167,6 @@ def _structure(file: "h5py.File", path: Path, name: str, hint: str) -> "tuple[di
     """What a file holds, as it says, and the lengths of axes. Raises `DataError` where that does not fit the schema."""
     found = datasets_in(file, groups_of(name), str(path), hint)
     return found, check_shapes(str(path), name, found, hint)
-
-
-def _values(dataset: "h5py.Dataset", where: str, hint: str) -> "np.ndarray":
-    try:
-        return dataset[()]
-    except (OSError, ValueError, MemoryError) as error:
-        raise DataError(f"is damaged: {error}", where, hint) from None
 
 
 def read_key(path: Path, name: str) -> str | None:
@@ -208,7 +201,7 @@ def read_header(path: Path, name: str) -> Header | None:
     if not path.is_file():
         return None
     try:
-        with _opened(path, name) as (file, attributes, checked):
+        with _open(path, name) as (file, attributes, checked):
             version = attribute(file, "stage_version")
             if not checked:
                 _structure(file, path, name, "")
@@ -218,23 +211,14 @@ def read_header(path: Path, name: str) -> Header | None:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, name: str | None, verified: bool = False) -> "Iterator[tuple[h5py.File, dict[str, str], bool]]":
+def _open(path: Path, name: str | None, verified: bool = False) -> "Iterator[tuple[h5py.File, dict[str, str], bool]]":
     """An artifact that is opened, its attributes, and whether it has a checksum; what HDF5 cannot read is a `DataError`."""
     if not path.is_file():
         what = "is not a regular file" if os.path.lexists(path) else f"no such {name or ''} artifact"
         raise DataError(what, str(path), "run the stage that writes it; `piegraph status` lists them")
     checked = check_seal(path, verified)
-    import h5py
-
-    try:
-        with h5py.File(path, "r", locking=False) as file:  # files are replaced whole, never written in place
-            yield file, _attributes(file, path, name, checked), checked
-    except DataError:
-        raise
-    except Exception as error:  # whatever HDF5 and h5py raise for broken files
-        why = str(error) or type(error).__name__
-        hint = f"make the {name} again" if name else "copy it again from where it was made"
-        raise DataError(f"not a readable HDF5 file: {why}", str(path), hint) from None
+    with opened(path, f"make the {name} again" if name else "copy it again from where it was made") as file:
+        yield file, _attributes(file, path, name, checked), checked
 
 
 def _attributes(file: "h5py.File", path: Path, name: str | None, checked: bool) -> dict[str, str]:

@@ -31,7 +31,7 @@ def read_text(path: Path, hint: str) -> str:
 
 
 def parse_number(word: str, bounded: bool = True) -> float:
-    """A number; with `bounded` False also nan, inf and those that are too large. Raises `ValueError` that says what is wrong."""
+    """A number; with `bounded` False also nan, inf and those that are too large. Raises `ValueError` that says why not."""
     text = word.strip()
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"{_short(text)} is no number")

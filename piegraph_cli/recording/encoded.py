@@ -22,6 +22,8 @@ def decode_image(data: "bytes | np.ndarray", flag: int) -> np.ndarray:
     width, height = size
     if not 0 < width * height <= MOST_PIXELS:
         raise ValueError(f"it says that it is {width} x {height}, at most {MOST_PIXELS} pixels are read")
+    if view[:8] == _PNG and not _chunks_fit(view):
+        raise ValueError("it is cut off, or its parts do not fit together")
     try:
         image = cv2.imdecode(np.frombuffer(view, np.uint8), flag)
     except cv2.error as error:
@@ -36,6 +38,17 @@ def declared_size(data: memoryview) -> tuple[int, int] | None:
     if data[:8] == _PNG and len(data) >= 24 and data[12:16] == b"IHDR":
         return struct.unpack(">II", data[16:24])
     return _jpeg_size(data) if data[:3] == _JPEG else None
+
+
+def _chunks_fit(data: memoryview) -> bool:
+    """Whether the parts of a PNG lie in it up to its end: as much as a part says that it has is taken of memory first."""
+    place = 8
+    while place + 12 <= len(data):
+        length, kind = struct.unpack(">I4s", data[place : place + 8])
+        place += 12 + length
+        if kind == b"IEND":
+            return place <= len(data)
+    return False
 
 
 def _jpeg_size(data: memoryview) -> tuple[int, int] | None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.workspace.schema import FIXED_AXES, SCHEMAS, Field, field_of
+from piegraph_cli.workspace.schema import FIXED_AXES, INF, SCHEMAS, Field, field_of
 from piegraph_cli.workspace.structure import Found
 
 if TYPE_CHECKING:
@@ -87,6 +87,8 @@ def _check_numbers(value: "np.ndarray", field: Field, lengths: Mapping[str, int]
     bounds = (0, lengths[field.index] - 1) if field.index else field.bounds
     if bounds is not None and kind in "fiu":
         wrong = (value < bounds[0]) | (value > bounds[1])
+        if field.nan and bounds[0] > -INF:  # NaN may be, infinity may not
+            wrong |= np.isinf(value)
         if wrong.any():
             index, units = _first(wrong), "" if field.units == "1" else f" {field.units}"
             message = f"{value[index]:g} at index {index}, expected {bounds[0]:g} to {bounds[1]:g}{units}"

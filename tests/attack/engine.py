@@ -17,6 +17,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ def run_attack(attack: Attack, seeds: Iterator[int], folder: Path, tally: Tally,
 
 
 def _some(seeds: Iterator[int], count: int) -> list[int]:
-    return [seed for seed, _ in zip(seeds, range(count), strict=False)]
+    return list(islice(seeds, count))
 
 
 def _in_a_process(
@@ -90,11 +91,13 @@ def _in_a_process(
                 _work(attack, seeds, folder, place, whole, writes, until)
             os._exit(0)
         os.close(writes)
-        current, finished = None, False
+        current, made, finished = None, "", False
         with os.fdopen(reads, "rb", buffering=0) as pipe:
             for message in _messages(pipe, child):
                 if message[0] == "begin":
-                    current = message[1]
+                    current, made = message[1], "the damage could not be done"
+                elif message[0] == "made":
+                    made = message[1]
                 elif message[0] == "end":
                     finished = True
                 else:
@@ -106,7 +109,7 @@ def _in_a_process(
             return
         if current is not None:
             lost = "hang" if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGUSR1 else "crash"
-            yield current, lost, f"status {status}"
+            yield current, lost, f"{made}; status {status}"
             seeds = seeds[seeds.index(current) + 1 :]
 
 
@@ -145,8 +148,9 @@ def _work(attack: Attack, seeds: list[int], folder: Path, place: Path, whole: by
             break
         shutil.rmtree(changed, ignore_errors=True)
         shutil.copytree(folder / "whole", changed)
-        what = attack.change(changed / place, np.random.default_rng(seed))
         tell("begin", seed)
+        what = attack.change(changed / place, np.random.default_rng(seed))
+        tell("made", what)
         outcome, why = _outcome(attack, changed / place, whole)
         grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - before
         if grown > MOST:
@@ -163,7 +167,6 @@ def _outcome(attack: Attack, path: Path, whole: bytes) -> tuple[str, str]:
     try:
         same = _digest(attack.read(path)) == whole
     except PiegraphError as error:
-        str(error).encode()
         return "refused", str(error)
     except BaseException as error:
         last = traceback.extract_tb(error.__traceback__)[-1]

@@ -64,9 +64,9 @@ def one_chunk_of_gigabytes(file: h5py.File, name: str) -> None:
 
 
 def deep(file: h5py.File, name: str) -> None:
-    group = file.create_group("trust") if "trust" not in file else file["trust"]
-    for _ in range(3000):
-        group = group.create_group("a")
+    group = file.require_group("trust")
+    for k in range(3000):
+        group = group.create_group(f"deep{k % 2}")
 
 
 def soft_link(file: h5py.File, name: str) -> None:

@@ -154,7 +154,7 @@ def status(
 
 def _status(run: "Run", every: bool) -> Report:
     """What `status` prints: counts per stage, then units that are not fresh, or `every` one."""
-    from piegraph_cli.workspace.survey import STATES, count_states
+    from piegraph_cli.workspace.survey import STATES, UNCHECKED, count_states
     from piegraph_cli.workspace.survey import status as rows_of
 
     rows = rows_of(run)
@@ -166,6 +166,9 @@ def _status(run: "Run", every: bool) -> Report:
     lines.append(f"{'':10s}{'':36s}{_size(total):>12s}")
     said = [row | {"why": row["quality"] or row["failure"] or row["reason"]} for row in rows]
     listed = _grouped([row for row in said if every or row["state"] != "fresh"], "why", every)
+    unchecked = sum(row["reason"] == UNCHECKED for row in rows)
+    if unchecked:
+        listed.append(f"{unchecked} artifacts are {UNCHECKED}; `piegraph run --force` makes them again")
     value = {"run": str(run.folder), "stages": counts, "bytes": total, "artifacts": rows}
     return Report(value, [*lines, "", *listed] if listed else lines)
 

@@ -130,13 +130,10 @@ def read_h5(path: Path) -> "dict[str, np.ndarray]":
     """
     from piegraph_cli.recording.motion import ALL_NAMES
     from piegraph_cli.recording.points import check_size
-    from piegraph_cli.workspace.structure import datasets_at, opened
+    from piegraph_cli.workspace.structure import read_datasets
 
     check_size(path)
-    hint = "write plain datasets of numbers"
-    with opened(path, hint) as file:
-        found = datasets_at(file, ALL_NAMES, str(path), hint)
-        return {name: dataset.values(f"{path}, dataset {name}", hint) for name, dataset in found.items()}
+    return read_datasets(path, ALL_NAMES, "write plain datasets of numbers")
 
 
 READERS = {".h5": read_h5}

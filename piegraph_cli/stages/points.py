@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from piegraph_cli.errors import DataError
 from piegraph_cli.recording import points
-from piegraph_cli.workspace.artifact import read_artifact, read_header
+from piegraph_cli.workspace.artifact import read_artifact
 
 
 def read_points(path: Path, frame: int | None) -> np.ndarray:
@@ -17,7 +18,9 @@ def read_points(path: Path, frame: int | None) -> np.ndarray:
 
 
 def _frames_of_artifact(path: Path) -> points.Frames:
-    if read_header(path, "clouds"):
-        clouds = read_artifact(path, "clouds")
-        return points.Clouds(clouds["points"], clouds["offsets"])
-    return read_artifact(path, "tracks")["positions"]
+    found = read_artifact(path, foreign=True)
+    if found.name == "clouds":
+        return points.Clouds(found["points"], found["offsets"])
+    if found.name == "tracks":
+        return found["positions"]
+    raise DataError(f"holds {found.name}, expected clouds or tracks", str(path), "give the file of the right stage")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli import __version__
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
+from piegraph_cli.workspace.probe import probe
 from piegraph_cli.workspace.schema import LONG_TEXT, SCHEMA_VERSION, SCHEMAS, TEXT, Field, field_of
 from piegraph_cli.workspace.sealed import check_seal, sealed
 from piegraph_cli.workspace.structure import Found, attribute, datasets_in, opened
@@ -146,14 +147,24 @@ def _write_dataset(file: "h5py.File", dataset: str, value: "np.ndarray", field: 
 
 
 def read_artifact(
-    path: Path, name: str | None = None, only: Collection[str] | None = None, *, verified: bool = False
+    path: Path,
+    name: str | None = None,
+    only: Collection[str] | None = None,
+    *,
+    verified: bool = False,
+    foreign: bool = False,
+    probed: bool = False,
 ) -> Artifact:
     """Read and check an artifact, or `only` some datasets; without a name whatever artifact the file holds.
 
-    The checksum comes first, but of a file that was `verified` before; then what the file says it holds, then values. Raises
+    The checksum comes first, but of a file that was `verified` before; then what the file says it holds, then values. A
+    `foreign` file, and one without checksum, is read in a process of its own before, unless it was `probed`. Raises
     `DataError` naming file and dataset when something is off.
     """
-    with _open(path, name, verified) as (file, attributes, checked):
+    checked = _checked(path, name, verified)
+    if not (verified or probed) and (foreign or not checked):
+        probe(path, _copied(name), name=name)
+    with _open(path, name, checked) as (file, attributes):
         name, remake = attributes["artifact"], _remake(path, attributes)
         found, lengths = _structure(file, path, name, remake)
         wanted = [dataset for dataset in found if only is None or dataset in only]
@@ -196,29 +207,38 @@ class Header:
 def read_header(path: Path, name: str) -> Header | None:
     """The header of an artifact whose bytes are those that were written; None when it is absent, damaged or of another schema.
 
-    Of one without checksum, which only old ones are, the structure is looked at.
+    One without checksum, which only old ones are, is read as a whole, in a process of its own.
     """
     if not path.is_file():
         return None
     try:
-        with _open(path, name) as (file, attributes, checked):
+        checked = _checked(path, name)
+        if not checked:
+            probe(path, _copied(name), name=name)
+        with _open(path, name, checked) as (file, attributes):
             version = attribute(file, "stage_version")
-            if not checked:
-                _structure(file, path, name, "")
             return Header(attributes["key"], int(version), attributes["params"], attributes["quality"], checked)
     except (DataError, TypeError, ValueError):
         return None
 
 
-@contextlib.contextmanager
-def _open(path: Path, name: str | None, verified: bool = False) -> "Iterator[tuple[h5py.File, dict[str, str], bool]]":
-    """An artifact that is opened, its attributes, and whether it has a checksum; what HDF5 cannot read is a `DataError`."""
+def _checked(path: Path, name: str | None, verified: bool = False) -> bool:
+    """Whether an artifact has a checksum, which then is right. Raises `DataError` for what is no file."""
     if not path.is_file():
         what = "is not a regular file" if os.path.lexists(path) else f"no such {name or ''} artifact"
         raise DataError(what, str(path), "run the stage that writes it; `piegraph status` lists them")
-    checked = check_seal(path, verified)
-    with opened(path, f"make the {name} again" if name else "copy it again from where it was made") as file:
-        yield file, _attributes(file, path, name, checked), checked
+    return check_seal(path, verified)
+
+
+def _copied(name: str | None) -> str:
+    return f"make the {name} again" if name else "copy it again from where it was made"
+
+
+@contextlib.contextmanager
+def _open(path: Path, name: str | None, checked: bool) -> "Iterator[tuple[h5py.File, dict[str, str]]]":
+    """An artifact that is opened, and its attributes; what HDF5 cannot read is a `DataError`."""
+    with opened(path, _copied(name)) as file:
+        yield file, _attributes(file, path, name, checked)
 
 
 def _attributes(file: "h5py.File", path: Path, name: str | None, checked: bool) -> dict[str, str]:

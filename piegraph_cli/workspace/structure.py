@@ -6,12 +6,13 @@ unpack to far more than the file has is refused.
 
 import contextlib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.workspace.probe import probe
 
 if TYPE_CHECKING:
     import h5py
@@ -74,7 +75,19 @@ def opened(path: Path, hint: str) -> "Iterator[h5py.File]":
         raise DataError(f"not a readable HDF5 file: {str(error) or type(error).__name__}", str(path), hint) from None
 
 
-def datasets_at(file: "h5py.File", names: Iterable[str], where: str, hint: str) -> dict[str, Found]:
+def read_datasets(path: Path, names: Collection[str], hint: str, probed: bool = False) -> "dict[str, np.ndarray]":
+    """Those of the datasets at the root of anybody's file that are there, read after they were `probed`.
+
+    Raises `DataError` for whatever is not plain numbers or short texts in the file itself.
+    """
+    if not probed:
+        probe(path, hint, at=list(names))
+    with opened(path, hint) as file:
+        found = _datasets_at(file, names, str(path), hint)
+        return {name: dataset.values(f"{path}, dataset {name}", hint) for name, dataset in found.items()}
+
+
+def _datasets_at(file: "h5py.File", names: Iterable[str], where: str, hint: str) -> dict[str, Found]:
     """Those of the datasets at the root that are there; nothing else is looked at."""
     there = [name for name in names if file.id.links.exists(name.encode())]
     found = {}

@@ -15,7 +15,7 @@ def decode_image(data: "bytes | np.ndarray", flag: int) -> np.ndarray:
     """The image of encoded bytes, as `cv2.imdecode` gives it with that flag. Raises `ValueError` that says what is wrong."""
     import cv2
 
-    view = memoryview(data)
+    view = memoryview(data)  # type: ignore[arg-type]
     size = declared_size(view)
     if size is None:
         raise ValueError("it is empty" if not len(view) else "it is neither JPEG nor PNG")

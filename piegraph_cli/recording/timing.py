@@ -55,14 +55,19 @@ def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 
             where,
             "if nothing was recorded in between, make two sequences of it; otherwise repair the clock",
         )
-    if times[-1] - times[0] > LONGEST or abs(times[-1]) > LATEST:
-        message = f"time stamps go from {times[0]:.6g} to {times[-1]:.6g} s"
-        raise DataError(message, where, f"a sequence lasts {LONGEST:.0f} s at most: cut it, or repair the clock")
+    _check_span(times, where)
     gaps = np.flatnonzero(steps > max(GAP, MANY * usual))
     if not len(gaps):
         return []
     more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
     return [f"{where}: {steps[gaps[0]]:.1f} s without a frame before {item} {gaps[0] + 1 + first}{more}"]
+
+
+def _check_span(times: np.ndarray, where: str) -> None:
+    """Refuse times that no clock shows, and more of them than a day has."""
+    if times[-1] - times[0] > LONGEST or abs(times[-1]) > LATEST:
+        message = f"time stamps go from {times[0]:.6g} to {times[-1]:.6g} s"
+        raise DataError(message, where, f"a sequence lasts {LONGEST:.0f} s at most: cut it, or repair the clock")
 
 
 def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tuple[np.ndarray, list[str]]:

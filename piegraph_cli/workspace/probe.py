@@ -5,6 +5,7 @@
 
 import atexit
 import contextlib
+import importlib
 import json
 import os
 import select
@@ -16,7 +17,7 @@ from typing import Any
 
 from piegraph_cli.errors import DataError
 
-SECONDS, BYTES_A_SECOND = 8.0, 20e6
+SECONDS, BYTES_A_SECOND = 5.0, 20e6
 """How long a file may take: so long, and for its bytes."""
 MEMORY, TIMES = 1 << 29, 4
 """Bytes that reading a file may take: so many, and its size so many times."""
@@ -86,7 +87,8 @@ def _serve() -> None:
     for line in sys.stdin:
         request = json.loads(line)
         limit = taken + MEMORY + TIMES * Path(request["path"]).stat().st_size
-        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (limit if most < 0 else min(limit, most), most))
         try:
             _read(**request)
             answer = {}
@@ -96,14 +98,10 @@ def _serve() -> None:
 
 
 def _read(path: str, hint: str, name: str | None = None, at: list[str] | None = None) -> None:
-    from piegraph_cli.workspace.artifact import read_artifact
-    from piegraph_cli.workspace.structure import read_datasets
-
+    module, reader = ("structure", "read_datasets") if at else ("artifact", "read_artifact")
+    read = getattr(importlib.import_module(f"piegraph_cli.workspace.{module}"), reader)
     try:
-        if at is None:
-            read_artifact(Path(path), name, probed=True)
-        else:
-            read_datasets(Path(path), at, hint, probed=True)
+        read(Path(path), *([at, hint] if at else [name]), probed=True)
     except MemoryError:
         raise DataError("is no whole HDF5 file: it takes too much memory to read", path, hint) from None
 

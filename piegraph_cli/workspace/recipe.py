@@ -81,11 +81,13 @@ class Recipe:
 
 def load_recipe(path: Path, table: Table) -> Recipe:
     """Read a recipe; paths in it are relative to its folder. Raises `UsageError` for unknown sections and settings."""
+    if path.exists() and not path.is_file():
+        raise UsageError("is not a regular file", str(path), "give a .toml file")
     try:
         sections = tomllib.loads(path.read_text())
     except FileNotFoundError:
         raise DataError("no such recipe", str(path), f"give a .toml file, or one of {', '.join(shipped())}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
         raise UsageError(f"not a readable TOML file: {error}", str(path)) from None
     recipe = Recipe(table)
     for name, section in sections.items():

@@ -26,7 +26,9 @@ import numpy as np
 from piegraph_cli.errors import PiegraphError
 
 SLOWEST = 10.0
-"""Seconds."""
+"""Seconds that reading may take."""
+PATIENCE = 300.0
+"""Seconds that damaging may take, which is no part of it."""
 MOST = 1 << 30
 """Bytes."""
 
@@ -114,10 +116,10 @@ def _in_a_process(
 
 
 def _messages(pipe: Any, child: int) -> Iterator[tuple]:
-    """What a process tells; it is ended where it tells nothing for too long."""
-    data = b""
+    """What a process tells; it is ended where it reads for too long."""
+    data, reading = b"", False
     while True:
-        ready, _, _ = select.select([pipe], [], [], SLOWEST)
+        ready, _, _ = select.select([pipe], [], [], SLOWEST if reading else PATIENCE)
         if not ready:
             os.kill(child, signal.SIGUSR1)  # whose default is to end it, and which nothing else sends
         part = pipe.read(1 << 16)
@@ -125,7 +127,9 @@ def _messages(pipe: Any, child: int) -> Iterator[tuple]:
             return
         data += part
         while len(data) >= 4 and len(data) >= 4 + (size := int.from_bytes(data[:4], "big")):
-            yield pickle.loads(data[4 : 4 + size])
+            message = pickle.loads(data[4 : 4 + size])
+            reading = message[0] == "made"
+            yield message
             data = data[4 + size :]
 
 

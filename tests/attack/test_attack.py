@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import time
+import zipfile
 import zlib
 
 import cv2
@@ -13,16 +14,19 @@ import h5py
 import numpy as np
 import pytest
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.encoded import MOST_PIXELS, declared_size, decode_image
 from piegraph_cli.recording.layout import write_times
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.sequence import read_sequence
 from piegraph_cli.recording.text import MOST_BYTES, parse_number, read_numbers, read_text
 from piegraph_cli.recording.timing import align_frames, check_times
+from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.import_tracks import read_h5
+from piegraph_cli.stages.points import read_points
 from piegraph_cli.workspace import probe
 from piegraph_cli.workspace.artifact import read_artifact, read_header
+from piegraph_cli.workspace.recipe import load_recipe
 from piegraph_cli.workspace.schema import SCHEMAS
 from tests.attack import engine
 from tests.attack.attacks import GROUPS, motion
@@ -234,3 +238,23 @@ def test_what_breaks_or_stops_hdf5_is_an_error(tmp_path, monkeypatch):
     assert len(probe._running) == 1
     unsealed(path, 1)
     assert read_header(path, "tracks") is not None
+
+
+def test_an_npz_that_unpacks_to_far_more_than_it_has_is_refused(tmp_path):
+    with (
+        zipfile.ZipFile(tmp_path / "goal.npz", "w", zipfile.ZIP_DEFLATED) as file,
+        file.open("points.npy", "w") as member,
+    ):
+        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (12_000_000, 3)})
+        for _ in range(9):
+            member.write(bytes(32_000_000))
+    with pytest.raises(DataError, match="unpacks to 288"):
+        read_points(tmp_path / "goal.npz", None)
+
+
+def test_a_recipe_that_is_no_file_or_without_end_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "deep.toml").write_text("[ingest]\nrecording = " + "[" * 100_000)
+    for name, message in (("pipe.toml", "not a regular file"), ("deep.toml", "not a readable TOML file")):
+        with pytest.raises(UsageError, match=message):
+            load_recipe(tmp_path / name, STAGES)

@@ -6,6 +6,7 @@ the BLAKE2b of the CRC-32s of the pieces: of cryptographic hashes alone reading 
 
 import hashlib
 import os
+import stat
 import zlib
 from collections.abc import Iterable, Iterator
 from io import BufferedReader
@@ -44,7 +45,7 @@ def check_seal(path: Path, verified: bool = False) -> bool:
     try:
         place = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe would keep us waiting
         with open(place, "rb") as file:
-            head = file.read(BLOCK) if path.is_file() else b""
+            head = file.read(BLOCK) if stat.S_ISREG(os.fstat(place).st_mode) else b""
             if head.startswith(_HDF5):
                 return False
             if file.read(len(_HDF5)) != _HDF5:
@@ -58,7 +59,7 @@ def check_seal(path: Path, verified: bool = False) -> bool:
 
 def _pieces(file: BufferedReader) -> Iterator[memoryview]:
     """Everything from the end of the block on, in one buffer, piece by piece."""
-    buffer = memoryview(bytearray(16 * _PIECE))
+    buffer = memoryview(bytearray(_PIECE * min(16, 1 + os.fstat(file.fileno()).st_size // _PIECE)))
     file.seek(BLOCK)
     while count := file.readinto(buffer):
         yield from (buffer[start : min(start + _PIECE, count)] for start in range(0, count, _PIECE))

@@ -197,9 +197,10 @@ def attribute(file: "h5py.File", name: str) -> Any:
     """A text or whole number among the root's attributes; None where it is not there or is anything else."""
     import h5py
 
-    if not h5py.h5a.exists(file.id, name.encode()):
+    try:
+        held = h5py.h5a.open(file.id, name.encode())
+    except KeyError:
         return None
-    held = h5py.h5a.open(file.id, name.encode())
     kind = held.get_type().get_class()
     single = held.get_space().get_simple_extent_type() == h5py.h5s.SCALAR
     if not single or kind not in (h5py.h5t.STRING, h5py.h5t.INTEGER) or held.get_storage_size() > LONGEST_TEXT:

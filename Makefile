@@ -15,7 +15,7 @@ SAMPLE ?= 150
 
 SECONDS ?= 600
 
-.PHONY: setup demo test smoke lint tables mutants attack libraries clean reproduce troubles $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables mutants attack libraries browser clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -41,6 +41,16 @@ libraries:
 		echo "open3d and pyrealsense2 need system libraries: sudo apt-get install $(LIBRARIES)"; \
 	fi
 	@$(BIN)/python -c 'import cv2, mediapipe, open3d'  # pyrealsense2 is for some tests alone
+
+# Chromium, in which tests open the viewer and the report; without one they are skipped
+browser: setup
+	@if command -v chromium >/dev/null || command -v google-chrome >/dev/null || ls $$HOME/.cache/ms-playwright/chromium-* >/dev/null 2>&1; then \
+		echo "a browser is there"; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; \
+	else \
+		echo "tests in a browser need Chromium: sudo apt-get install chromium, or $(BIN)/playwright install --with-deps chromium"; \
+	fi
 
 # the whole pipeline on sample_data/, then its pictures
 demo: setup
@@ -82,9 +92,11 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# the tables of README.md and docs/ from results/
+# the tables of README.md and docs/ from results/, docs/settings.md from the settings, docs/json.md from what commands tell
 tables: setup
 	$(BIN)/python -m tools.tables
+	$(BIN)/python -m tools.settings
+	$(BIN)/python -m tools.json_page
 
 clean:
 	rm -rf .venv runs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from piegraph_cli.perception.look import look as look
     from piegraph_cli.planning.episode import Episode as Episode
     from piegraph_cli.planning.model import Model as Model
+    from piegraph_cli.planning.question import Answer as Answer
     from piegraph_cli.recording.camera import Camera as Camera
     from piegraph_cli.recording.film import Scene as Scene
     from piegraph_cli.recording.layout import read_cameras as read_cameras
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _FACE = {
+    "Answer": "planning.question",
     "Artifact": "workspace.artifact",
     "Camera": "recording.camera",
     "Episode": "planning.episode",

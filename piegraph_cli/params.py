@@ -26,11 +26,16 @@ def _check_box(box: tuple[float, ...]) -> tuple[float, ...]:
     return box
 
 
+def split_boxes(value: object) -> object:
+    """`0,1,0,1,0,1;2,3,2,3,0,1` on the command line means two boxes."""
+    return [part for part in value.split(";") if part.strip()] if isinstance(value, str) else value
+
+
 def _check_yaw(pose: tuple[float, float, float]) -> tuple[float, float, float]:
     if abs(pose[2]) > 2 * math.pi:
         radians = math.radians(pose[2])
         raise ValueError(
-            f"DYAW {pose[2]:g} is more than a whole turn: it is in radians, {pose[2]:g} degrees are {radians:.3f}"
+            f"yaw {pose[2]:g} is more than a whole turn: it is in radians, {pose[2]:g} degrees are {radians:.3f}"
         )
     return pose
 
@@ -70,6 +75,8 @@ Pose2 = Annotated[tuple[float, float, float], BeforeValidator(split_commas), Aft
 Box = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(split_commas), AfterValidator(_check_box)
 ]
+Boxes = Annotated[tuple[Box, ...], BeforeValidator(split_boxes)]
+"""Boxes one after the other; on the command line with a semicolon between them."""
 Table = Annotated[tuple[float, float, float], BeforeValidator(_plane), AfterValidator(_check_slopes)]
 """The plane z = height [m] + a x + b y in which a table lies; the height alone where it is level."""
 Counts = Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(split_commas), Field(min_length=1)]

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -33,8 +34,22 @@ def choose_device(name: str) -> str:
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
-        raise MissingError("no CUDA device", hint="use --device cpu")
+        raise MissingError("PyTorch finds no CUDA device", "--device cuda", "leave --device out, or use --device cpu")
     return name
+
+
+@contextlib.contextmanager
+def imports_at_once() -> Iterator[None]:
+    """Import heavy modules without collecting garbage meanwhile: all that they make stays, and looking through it again and
+    again takes a third of the time that PyTorch needs to be there."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+        gc.freeze()
+    finally:
+        if collecting:
+            gc.enable()
 
 
 @contextlib.contextmanager

@@ -9,6 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from tests.envelopes import checked
+
 REPOSITORY = Path(__file__).parents[1]
 SAMPLE = REPOSITORY / "sample_data" / "tblock"
 PATIENCE = 600.0
@@ -43,5 +45,5 @@ def _server() -> subprocess.Popen:
 
 
 def piegraph_json(*arguments: object) -> dict:
-    """The JSON object a command prints with --json."""
-    return json.loads(piegraph(*arguments, "--json").stdout)
+    """The result that a command prints with --json."""
+    return checked(piegraph(*arguments, "--json").stdout)["result"]

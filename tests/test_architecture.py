@@ -11,9 +11,9 @@ import piegraph_cli
 PACKAGE = Path(piegraph_cli.__file__).parent
 
 ORDER = [
-    *("errors", "params", "files", "process", "weights", "kernels"),
+    *("errors", "text", "params", "files", "process", "weights", "kernels"),
     *("recording", "physics", "perception", "dynamics", "environments", "planning", "evaluation"),
-    *("workspace", "capture", "stages", "report", "viewer", "experiments", "bench", "doctor", "commands"),
+    *("workspace", "capture", "stages", "service", "report", "viewer", "experiments", "bench", "doctor", "commands"),
 ]
 """Rooms and modules of the package: each imports itself and what stands before it, nothing else."""
 

@@ -204,4 +204,9 @@ def test_troubles_show_what_was_made_and_make_nothing(tmp_path):
     report = tmp_path / "troubles" / "report"
     report.mkdir(parents=True)
     (report / "troubles.txt").write_text("kind  right\n")
+    assert "no results yet" in piegraph(*show, check=3).stderr, "half of what was made"
+    row = {"trouble": "tilted", "strength": "5 deg", "bad": 1, "doubtful": 0, "good": 0, "right": 1, "recordings": 1}
+    made = {"rows": [row], "wrong": 1, "missed": 0, "false_alarms": 0}
+    (report / "troubles.json").write_text(json.dumps(made))
     assert piegraph(*show).stdout == "kind  right\n"
+    assert piegraph_json(*show) == {"troubles": made}

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tools import settings
 from tools.tables import PAGES, PLACE, REPOSITORY, RESULTS, Figure, cell_text, filled, markdown, read
 
 NAMES = sorted(path.stem for path in RESULTS.glob("*.toml"))
@@ -28,6 +29,11 @@ def test_pages_are_as_the_results_make_them(path: Path):
     assert filled(page) == page, "`make tables` writes them again"
 
 
+def test_the_page_of_settings_is_as_the_models_make_it():
+    assert settings.PAGE.read_text(encoding="utf-8") == settings.page(), "`make tables` writes it again"
+    assert "| `gain` | number > 0 | `0.03` | proportional gain Kp dt^2/m |" in settings.page()
+
+
 def test_every_result_is_on_a_page_once():
     shown = [name for path in PAGES for _, name, _, _ in PLACE.findall(path.read_text(encoding="utf-8"))]
     assert sorted(shown) == NAMES
@@ -44,7 +50,7 @@ def test_a_result_says_when_and_on_what(name: str):
 
 
 def test_what_is_printed_twice_agrees():
-    """README's errors of predictions are among those of all models."""
+    """The errors of predictions in docs/figures.md are among those of all models."""
     short, whole = (read(RESULTS / f"{name}.toml") for name in ("dynamics-four-strokes", "dynamics"))
     assert [column["name"] for column in short["columns"][1:]] == [column["name"] for column in whole["columns"][1:]]
     of_model = {row[0]: row[1:] for row in whole["rows"]}

@@ -14,6 +14,7 @@ import torch
 from piegraph_cli.errors import DataError
 from piegraph_cli.kernels import lanes
 from piegraph_cli.kernels.peak import ACCUMULATORS, copy_back_and_forth, multiply_add
+from piegraph_cli.text import Column, Table
 
 REPEATS = 9
 WITHIN = 0.2
@@ -56,11 +57,18 @@ class Row:
         return {name: value for name, value in asdict(self).items() if value is not None} | rate | ratio
 
 
-def table(rows: list[Row]) -> list[str]:
-    """Rows as lines for people."""
-    lines = [
-        f"{'':44s}{'cores':>6s}{'median':>11s}{'error':>11s}{'GFlop/s':>9s}{'of peak':>9s}{'reference':>11s}{'ratio':>8s}"
+def table(rows: list[Row]) -> Table:
+    """Rows for people."""
+    heads = [
+        ("cores", 5),
+        ("median", 10),
+        ("error", 10),
+        ("GFlop/s", 8),
+        ("of peak", 8),
+        ("reference", 10),
+        ("ratio", 7),
     ]
+    told = []
     for row in rows:
         values = row.as_dict()
         error = f"{row.error:.1e} m" if row.error is not None else ""
@@ -68,10 +76,9 @@ def table(rows: list[Row]) -> list[str]:
         share = f"{row.share:.0%}" if row.share is not None else ""
         reference = _time(row.reference_seconds) if row.reference_seconds else ""
         ratio = f"{values['ratio']:.1f}x" if "ratio" in values else ""
-        name, cores = f"{row.subject} {row.case}", row.cores if row.device == "cpu" else "GPU"
-        numbers = f"{error:>11s}{rate:>9s}{share:>9s}{reference:>11s}{ratio:>8s}"
-        lines.append(f"{name:44s}{cores:>6}{_time(row.seconds):>11s}{numbers}")
-    return lines
+        name, cores = f"{row.subject} {row.case}", str(row.cores) if row.device == "cpu" else "GPU"
+        told.append((name, cores, _time(row.seconds), error, rate, share, reference, ratio))
+    return Table([Column("", 44), *(Column(name, width, right=True) for name, width in heads)], told)
 
 
 def _time(seconds: float) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.bench.measure import Row
-from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.errors import DataError, UsageError, command_line
 from piegraph_cli.stages import STAGES, open_run, sequences
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.run import Run
@@ -32,7 +32,7 @@ def perception_rows(folder: Path | None, against: Path | None) -> Iterator[Row]:
     names = sequences(run)
     for stage in (STAGES[name] for name in TIMED):
         if not names or not all(run.path(stage.writes, name).is_file() for name in names):
-            hint = f"piegraph run --run {folder}"
+            hint = command_line("run", "--run", folder)
             raise UsageError(f"{folder} has no {stage.writes} to compare with", "bench perception", hint)
     times = [read_artifact(run.path("frames", name), "frames", only=("time",))["time"] for name in names]
     frames, step = sum(map(len, times)), float(np.median(np.concatenate([np.diff(time) for time in times])))

@@ -1,5 +1,6 @@
 """Benchmarks of planning, tracking and training."""
 
+import json
 import time
 from collections.abc import Iterator
 
@@ -15,14 +16,19 @@ from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_pre
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams, LearningParams
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Trainer
+from piegraph_cli.environments.shapes import t_block
+from piegraph_cli.errors import DataError
 from piegraph_cli.params import PUSH
 from piegraph_cli.physics.simulation import guide
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.physics.tracking import track
 from piegraph_cli.planning.costs import make_cost
+from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
 from piegraph_cli.planning.search import Search
+from piegraph_cli.service.requests import written
+from piegraph_cli.service.service import Service
 from piegraph_cli.stages.simulate import make_environment
 
 AT_REST = 1e-3
@@ -30,6 +36,9 @@ AT_REST = 1e-3
 
 TRACKED = 5e-3
 """Metres of mean error allowed to tracking."""
+
+CLOUD = 3000
+"""Points that a robot's cameras see of the T-block."""
 
 FRAMES = 20
 STROKES, STROKE_FRAMES = 40, 8
@@ -49,8 +58,23 @@ def plan_rows() -> Iterator[Row]:
                     PlanParams(samples=samples, cem_iterations=iterations, model=model, converged=0),
                     cores,
                 )
+        if samples == 100:
+            yield from (_asked(trained, cores) for cores in core_counts())
     default = PlanParams(samples=500, cem_iterations=30)
     yield _plan(state, trained, default, core_counts()[-1])
+
+
+def _asked(trained: Trained, cores: int) -> Row:
+    """A warm service's whole answer to such a question, from the bytes of a cloud to those of strokes."""
+    params = PlanParams(samples=100, cem_iterations=5, converged=0)
+    service = Service(Model("piegraph", trained, params))
+    cloud = t_block().visible_surface(CLOUD, seed=0)
+    question = json.dumps({"state": written(cloud, "base64"), "goal_pose": [0.1, 0.05, 0.0]}).encode()
+    if service.reply(question, "plan").exit_code:
+        raise DataError(f"no answer: {service.reply(question, 'plan').text.decode()}", "bench plan")
+    with on_cores(cores):
+        seconds = median_seconds(lambda: service.reply(question, "plan"), 5)
+    return Row("plan", "100 x 5, guided, asked of serve", seconds, cores)
 
 
 def learned_block() -> tuple[Tensor, Trained]:

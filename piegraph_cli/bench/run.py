@@ -12,15 +12,17 @@ from piegraph_cli.bench.kernels import network_rows, spring_rows
 from piegraph_cli.bench.measure import Row, cache_rate, machine_rows, peak
 from piegraph_cli.bench.perception import check_checkout, perception_rows
 from piegraph_cli.bench.pipeline import plan_rows, track_rows, train_rows
+from piegraph_cli.bench.viewer import viewer_rows
 from piegraph_cli.bench.workspace import workspace_rows
 from piegraph_cli.errors import UsageError
 from piegraph_cli.process import set_up_torch
 
+OF_A_RUN = ("perception", "view")
 PICTURES = (".png", ".svg")
 
 
 def run_benchmarks(subjects: list[str], run: Path | None, against: Path | None = None) -> Iterator[Row]:
-    """Rows of the machine, then of each subject; of all of them where none is named. `perception` needs a run.
+    """Rows of the machine, then of each subject; of all of them where none is named. Those `OF_A_RUN` need one.
 
     It is compared with another commit in the checkout `against`.
     """
@@ -33,19 +35,21 @@ def run_benchmarks(subjects: list[str], run: Path | None, against: Path | None =
         "train": train_rows,
         "workspace": workspace_rows,
         "perception": partial(perception_rows, run, against),
+        "view": partial(viewer_rows, run),
     }
     unknown = [subject for subject in subjects if subject not in known]
     if unknown:
         raise UsageError(f"no benchmark {unknown[0]}", "bench", f"one of {', '.join(known)}")
-    if "perception" in subjects and run is None:
-        raise UsageError("a run with hands, masks, clouds and tracks is needed", "bench perception", "--run RUN")
+    needing = [subject for subject in subjects if subject in OF_A_RUN]
+    if needing and run is None:
+        raise UsageError("a run with hands, masks, clouds and tracks is needed", f"bench {needing[0]}", "--run RUN")
     if against is not None:
         check_checkout(against)
     yield from machine_rows()
     has_gpu = torch.cuda.is_available()
     if has_gpu:
         yield from gpu.machine_rows()
-    for subject in subjects or [name for name in known if name != "perception" or run is not None]:
+    for subject in subjects or [name for name in known if name not in OF_A_RUN or run is not None]:
         yield from known[subject]()
         if has_gpu and subject in gpu.ROWS:
             yield from gpu.ROWS[subject]()

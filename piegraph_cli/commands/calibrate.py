@@ -120,7 +120,8 @@ def _by_board(recording: Path, names: "Sequence[str]", board: "Board", intrinsic
         "origin": found.origin,
         "notes": found.notes,
     }
-    return _with_picture(found.file, [one.shown for one in found.cameras], value, lines)
+    warnings = [f"{one.camera.name}: {text}" for one in found.cameras for text in one.warnings] + found.notes
+    return _with_picture(found.file, [one.shown for one in found.cameras], value, lines, warnings)
 
 
 def _by_table(recording: Path, names: "Sequence[str]") -> Report:
@@ -142,7 +143,7 @@ def _by_table(recording: Path, names: "Sequence[str]") -> Report:
         "cameras": {name: {"off_mm": 1000 * m, "off_deg": deg} for name, (m, deg) in found.off.items()},
         "notes": found.notes,
     }
-    return _with_picture(found.file, found.shown, value, lines + found.notes)
+    return _with_picture(found.file, found.shown, value, lines + found.notes, found.notes)
 
 
 def _robot(recording: Path, names: "Sequence[str]", board: "Board", robot: Path | None, touched: Path | None) -> Report:
@@ -167,10 +168,12 @@ def _robot(recording: Path, names: "Sequence[str]", board: "Board", robot: Path 
         name: {"residual_mm": 1000 * base.residual.metres, "residual_deg": base.residual.degrees}
         for name, base in found.methods.items()
     }
-    return Report(value, lines)
+    return Report(value, lines, warnings=found.notes)
 
 
-def _with_picture(file: Path, shown: "Sequence[Shown]", value: dict[str, Any], lines: list[str]) -> Report:
+def _with_picture(
+    file: Path, shown: "Sequence[Shown]", value: dict[str, Any], lines: list[str], warnings: list[str]
+) -> Report:
     """The report, with the picture and the errors written beside cameras.json."""
     import json
 
@@ -180,11 +183,12 @@ def _with_picture(file: Path, shown: "Sequence[Shown]", value: dict[str, Any], l
     from piegraph_cli.recording.axes import draw_axes, origin_in_view
 
     blind = [one.camera.name for one in shown if not origin_in_view(one.camera)]
-    lines = lines + ([f"the world's origin is outside the view of {', '.join(blind)}"] if blind else [])
+    hidden = [f"the world's origin is outside the view of {', '.join(blind)}"] if blind else []
     picture, numbers = file.with_name("calibration.png"), file.with_name("calibration.json")
     drawn = cv2.imencode(".png", cv2.cvtColor(draw_axes(shown), cv2.COLOR_RGB2BGR))[1]
     for path, data in ((picture, drawn.tobytes()), (numbers, (json.dumps(value, indent=1) + "\n").encode())):
         with atomic_file(path) as temporary:
             temporary.write_bytes(data)
     value = value | {"picture": str(picture), "numbers": str(numbers)}
-    return Report(value, [*lines, f"axes and corners: {picture}; errors: {numbers}"])
+    lines = [*lines, *hidden, f"axes and corners: {picture}; errors: {numbers}"]
+    return Report(value, lines, warnings=warnings + hidden)

@@ -1,5 +1,6 @@
 """The command that makes the paper's tables and figures."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piegraph_cli.commands import names
-from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs
+from piegraph_cli.commands.answer import error_object
+from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs, running
 from piegraph_cli.commands.output import Report, emit, logging_to
 from piegraph_cli.errors import DataError
 
@@ -49,14 +51,12 @@ def reproduce(
 
     Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
     """
-    from piegraph_cli.workspace.execute import Options
-
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
         place = folder / "troubles"
         return emit(_told_before(place) if show else _troubles(place, quick, set or (), envs, jobs), as_json)
     chosen = _chosen(experiment, quick, set or (), envs, data)
-    options = None if show else Options((), False, jobs, backend, device)
+    options = None if show else running((), False, jobs, backend, device)
     reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
     emit(_together(reports), as_json)
 
@@ -64,17 +64,17 @@ def reproduce(
 def _together(reports: dict[str, Report]) -> Report:
     """The reports of experiments, one after the other."""
     lines = [line for report in reports.values() for line in ("", *report.lines)]
-    code = next((report.exit_code for report in reports.values() if report.exit_code), 0)
-    return Report({name: report.value for name, report in reports.items()}, lines[1:], code)
+    value = {name: report.value for name, report in reports.items()}
+    error = next((report.error for report in reports.values() if report.error), None)
+    return Report(value, lines[1:], error.exit_code if error else 0, error)
 
 
 def _told_before(folder: Path) -> Report:
     """The table of troubles as it was made last."""
-    path = folder / "report" / "troubles.txt"
-    if not path.is_file():
+    text, numbers = (folder / "report" / f"troubles.{suffix}" for suffix in ("txt", "json"))
+    if not (text.is_file() and numbers.is_file()):
         raise DataError("no results yet", str(folder), "piegraph reproduce troubles")
-    lines = path.read_text().splitlines()
-    return Report({"table": lines}, lines)
+    return Report({"troubles": json.loads(numbers.read_text())}, text.read_text().splitlines())
 
 
 def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jobs: int) -> Report:
@@ -89,7 +89,7 @@ def _troubles(folder: Path, quick: bool, changes: "Sequence[str]", envs: str, jo
     params = validated(TroublesParams, values, "troubles", "", "correct the experiment")
     with logging_to(folder):
         value, lines = write_troubles(run_troubles(params, folder, jobs), folder)
-    return Report(value, lines)
+    return Report({"troubles": value}, lines)
 
 
 def _chosen(
@@ -111,5 +111,6 @@ def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Op
     with logging_to(folder):
         failed = run_experiment(name, params, folder, options) if options else []
         value, text, pictures = write_report(name, params, folder)
-    value |= {"pictures": [str(p) for p in pictures], "failed": [str(e) for e in failed]}
-    return Report(value, [*text, "", *map(str, pictures)], failed[0].exit_code if failed else 0)
+    value |= {"pictures": [str(p) for p in pictures], "failed": [error_object(e) for e in failed]}
+    error = failed[0] if failed else None
+    return Report(value, [*text, "", *map(str, pictures)], error.exit_code if error else 0, error)

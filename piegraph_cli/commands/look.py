@@ -10,6 +10,7 @@ from piegraph_cli.commands.output import Report, emit
 from piegraph_cli.errors import UsageError
 from piegraph_cli.params import split_commas
 from piegraph_cli.recording.params import LAYOUT_HELP
+from piegraph_cli.text import counted
 
 if TYPE_CHECKING:
     from piegraph_cli.perception.look import Look, LookSettings
@@ -93,9 +94,11 @@ def _settings(run: Path | None, changes: list[str], accept: str) -> "LookSetting
 def _report(source: str, scene: "Scene", seen: "Look", out: Path | None, picture: Path | None) -> Report:
     """What was seen, for people and as one object; cloud and picture are written where they are asked for."""
     from piegraph_cli.recording.points import write_points
+    from piegraph_cli.stages.look import look_value
 
     bad = seen.verdict == "bad"
-    lines = [f"{seen.verdict}: {len(seen.cloud)} points, {len(seen.chosen)} particles in {seen.seconds['total']:.2f} s"]
+    found = f"{counted(len(seen.cloud), 'point')}, {counted(len(seen.chosen), 'particle')}"
+    lines = [f"{seen.verdict}: {found} in {seen.seconds['total']:.2f} s"]
     for finding in seen.findings:
         accepted = finding.name in seen.accepted and finding.checks[0].verdict == "bad"
         lines.append(f"{'accepted' if accepted else finding.checks[0].verdict}: {finding.name}: {finding.text}")
@@ -108,7 +111,8 @@ def _report(source: str, scene: "Scene", seen: "Look", out: Path | None, picture
     if out is not None:
         lines.append(_nothing_written(out) if bad else f"cloud: {out}")
     files = {"cloud": str(out) if out and not bad else None, "picture": str(picture) if picture else None}
-    return Report({"source": source} | _as_object(seen) | files, lines, 3 if bad else 0)
+    value, doubts, error = look_value(seen, source)
+    return Report({"source": source} | value | files, lines, 3 if bad else 0, error, doubts)
 
 
 def _nothing_written(out: Path) -> str:
@@ -118,28 +122,6 @@ def _nothing_written(out: Path) -> str:
     aside = out.with_name(f"{out.name}.earlier")
     out.replace(aside)
     return f"no cloud is written; that of an earlier look is now {aside}"
-
-
-def _as_object(seen: "Look") -> dict[str, Any]:
-    """What was seen, for programs."""
-    findings = [
-        {"check": f.name, "verdict": f.checks[0].verdict, "cameras": f.cameras, "text": f.text, "try": f.remedy}
-        for f in seen.findings
-    ]
-    checks = [
-        {"check": c.name, "cameras": list(c.cameras), "figure": c.figure, "unit": c.unit, "verdict": c.verdict}
-        for c in seen.checks
-    ]
-    return {
-        "verdict": seen.verdict,
-        "findings": findings,
-        "checks": checks,
-        "points": len(seen.cloud),
-        "particles": None if seen.verdict == "bad" else seen.chosen.tolist(),
-        "seconds": seen.seconds,
-        "frame": "world",
-        "units": "m",
-    }
 
 
 def _draw(path: Path, scene: "Scene", seen: "Look") -> None:

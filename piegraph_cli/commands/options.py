@@ -2,11 +2,14 @@
 
 from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
 
 import typer
 
 from piegraph_cli.workspace.call import Call, Folder, Option
+
+if TYPE_CHECKING:
+    from piegraph_cli.workspace.execute import Options
 
 MORE, RUNNING = "More settings", "Running"
 """Headings in the help of a stage, after its options."""
@@ -47,6 +50,20 @@ Out = Annotated[
     ),
 ]
 Settings = Annotated[list[str] | None, typer.Option("--set", help="STAGE.SETTING=VALUE, in place of the recipe's")]
+
+
+def running(
+    only: tuple[str | None, ...], force: bool, jobs: int, backend: Literal["local", "ray"], device: str
+) -> "Options":
+    """How to run stages. Raises `MissingError` for a GPU that is not there; on a cluster other machines have theirs."""
+    from piegraph_cli.workspace.execute import Options
+
+    if device == "cuda" and backend == "local":
+        from piegraph_cli.process import choose_device
+
+        choose_device(device)
+    return Options(only, force, jobs, backend, device)  # type: ignore[arg-type]
+
 
 _RUNNING: dict[str, tuple[Any, Any]] = {
     "force": (Force, False),

@@ -1,17 +1,20 @@
-"""What commands print: the result on stdout, as lines or as one JSON object; the log on stderr and in the run folder."""
+"""What commands tell: the result on stdout, as lines or in the envelope of `--json`; the log in the run folder."""
 
 import contextlib
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from piegraph_cli import __version__
+from piegraph_cli.commands.answer import answer, error_object
+from piegraph_cli.errors import DataError, MissingError, PiegraphError, UsageError
 from piegraph_cli.stages import STAGES
+from piegraph_cli.text import Column, Line, Table, plain
 
 if TYPE_CHECKING:
     from piegraph_cli.workspace.execute import Outcome
@@ -22,48 +25,70 @@ FEW = 8
 
 @dataclass(frozen=True)
 class Report:
-    """What a command prints: an object for `--json`, lines for people, and the exit code."""
+    """What a command tells: the `result` of `--json`, lines for people, and the exit code."""
 
-    value: dict[str, Any]
-    lines: list[str]
+    value: dict[str, Any] | None
+    lines: Sequence[Line]
     exit_code: int = 0
+    error: PiegraphError | None = None
+    """Why the exit code is not 0; by default the lines say it."""
+    warnings: list[str] = field(default_factory=list)
+    """Those among the lines; what is logged comes by itself."""
 
 
 def emit(report: Report, as_json: bool) -> None:
-    """Print a report, and end with its exit code."""
+    """Print a report, or keep it for the envelope, and end with its exit code."""
     if as_json:
-        from piegraph_cli.evaluation.tables import as_json as text_of
-
-        print(text_of(report.value))
+        answer().result = report.value
+        answer().warnings += report.warnings
+        answer().error = error_object(_why(report)) if report.exit_code else None
     else:
-        print("\n".join(report.lines))
+        _show(report.lines)
     if report.exit_code:
         raise typer.Exit(report.exit_code)
 
 
+def _show(lines: Sequence[Line]) -> None:
+    """Print lines; tables are drawn where stdout is a terminal, and are plain text in files and pipes."""
+    if sys.stdout.isatty() and any(isinstance(line, Table) for line in lines):
+        from piegraph_cli.commands.terminal import show
+
+        show(lines)
+    else:
+        print("\n".join(plain(lines)))
+
+
+def _why(report: Report) -> PiegraphError:
+    """Why a command did not end with 0."""
+    kinds = {kind.exit_code: kind for kind in (UsageError, DataError, MissingError)}
+    return report.error or kinds.get(report.exit_code, PiegraphError)("\n".join(plain(report.lines)[-1:]))
+
+
 def summary(outcomes: "Sequence[Outcome]", folder: Path) -> Report:
     """A line per stage, or per unit where there are few; failures last. The exit code is the first failure's."""
-    lines, failed = [], [o for o in outcomes if o.error]
+    rows, failed = [], [o for o in outcomes if o.error]
     for name in dict.fromkeys(o.stage for o in outcomes):
         of_stage = [o for o in outcomes if o.stage == name and not o.error]
         if len(of_stage) > FEW:
             cached = sum(o.state == "cached" for o in of_stage)
-            units = f"{STAGES[name].unit}s"
-            lines.append(
-                f"{name:24s} {len(of_stage)} {units}, {cached} of them fresh already; last: {of_stage[-1].quality}"
-            )
+            units = f"{len(of_stage)} {STAGES[name].unit}s"
+            state = "cached" if cached == len(of_stage) else f"done, {cached} of them cached" if cached else "done"
+            rows.append((name, units, state, f"last: {of_stage[-1].quality}"))
         else:
-            lines += [f"{name} {o.unit or '':{23 - len(name)}s} {o.state:6s}  {o.quality}" for o in of_stage]
+            rows += [(name, o.unit or "", o.state, o.quality) for o in of_stage]
+    lines: list[Line] = [
+        Table([Column("stage", 9), Column("of", 14), Column("state", 6), Column("result")], rows)
+    ] * bool(rows)
     if failed:
         lines.append("failed: " + ", ".join(f"{o.stage} {o.unit}" if o.unit else o.stage for o in failed))
     value = {
         "run": str(folder),
-        "outcomes": [asdict(o) | {"error": str(o.error) if o.error else None} for o in outcomes],
+        "outcomes": [asdict(o) | {"error": error_object(o.error) if o.error else None} for o in outcomes],
     }
-    return Report(value, lines or ["nothing to do"], exit_code(outcomes))
+    return _ended(value, lines or ["nothing to do"], outcomes)
 
 
-def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[Outcome]") -> Report:
+def with_failures(value: dict[str, Any], lines: list[Line], outcomes: "Sequence[Outcome]") -> Report:
     """What a run has of a stage and what it has not: units whose inputs nobody made, with the command that makes these,
     and units that failed.
     """
@@ -80,19 +105,20 @@ def with_failures(value: dict[str, Any], lines: list[str], outcomes: "Sequence[O
     if failed:
         lines.append(f"failed: {', '.join(str(o.unit) for o in failed)}")
 
-    def row(o: "Outcome") -> dict[str, str | None]:
-        return {STAGES[o.stage].unit: o.unit, "error": str(o.error)}
+    def row(o: "Outcome") -> dict[str, Any]:
+        return {STAGES[o.stage].unit: o.unit, "error": error_object(o.error) if o.error else None}
 
     value = value | {
         "missing": [row(o) | {"command": error.hint} for o, error in missing],
         "failed": [row(o) for o in failed],
     }
-    return Report(value, lines, exit_code(outcomes))
+    return _ended(value, lines, outcomes)
 
 
-def exit_code(outcomes: "Sequence[Outcome]") -> int:
-    """That of the first failure; 0 where nothing failed."""
-    return next((o.error.exit_code for o in outcomes if o.error), 0)
+def _ended(value: dict[str, Any], lines: Sequence[Line], outcomes: "Sequence[Outcome]") -> Report:
+    """A report that ends as the first failure says."""
+    error = next((o.error for o in outcomes if o.error), None)
+    return Report(value, lines, error.exit_code if error else 0, error)
 
 
 class _LogFile(logging.FileHandler):
@@ -109,15 +135,9 @@ class _LogFile(logging.FileHandler):
 
 @contextlib.contextmanager
 def logging_to(folder: Path) -> Iterator[None]:
-    """Log to stderr, and with details to RUN/run.log."""
+    """Log with details to RUN/run.log too."""
     log = logging.getLogger("piegraph")
-    log.setLevel(logging.DEBUG)
-    stderr = logging.StreamHandler(sys.stderr)
-    stderr.setLevel(logging.INFO)
-    stderr.setFormatter(logging.Formatter("%(message)s"))
-    log.handlers = [stderr]
     with contextlib.ExitStack() as stack:
-        stack.callback(log.handlers.clear)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             file = stack.enter_context(contextlib.closing(_LogFile(folder / "run.log", encoding="utf-8")))
@@ -126,5 +146,6 @@ def logging_to(folder: Path) -> Iterator[None]:
         else:
             file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
             log.addHandler(file)
+            stack.callback(log.removeHandler, file)
         log.debug("piegraph %s: %s", __version__, sys.argv[1:])
         yield

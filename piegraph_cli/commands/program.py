@@ -11,16 +11,17 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from piegraph_cli import __version__
-from piegraph_cli.commands import experiments, look, record, runs, tools
+from piegraph_cli.commands import experiments, look, record, runs, survey, tools
+from piegraph_cli.commands.answer import answering, error_object, wants_json
 from piegraph_cli.commands.calibrate import calibrate
+from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
-from piegraph_cli.errors import PiegraphError
-
-INTERRUPTED = 130
+from piegraph_cli.errors import PiegraphError, UsageError
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
-    "Runs": {"run": runs.run, "status": runs.status, "clean": runs.clean, "report": runs.report, "view": runs.view},
+    "Runs": {"run": runs.run, "status": survey.status, "clean": survey.clean, "report": runs.report, "view": runs.view},
+    "Robots": {"serve": serve},
     "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},
     "Tools": {
@@ -110,27 +111,65 @@ def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(unraisable)
 
 
+class Interrupted(PiegraphError):
+    """Ctrl-C."""
+
+    exit_code = 130
+    kind = "interrupted"
+
+    def __str__(self) -> str:
+        return f"{self.message}; {self.hint}"
+
+
 def call(arguments: Sequence[str]) -> int:
-    """Run one command line; returns its exit code. A user's mistake is one message, never a traceback."""
+    """Run one command line; returns its exit code. A user's mistake is one message, never a traceback.
+
+    With `--json` one object goes to stdout, however the command ends.
+    """
+    name = next((word for word in arguments[:1] if any(word in group for group in GROUPS.values())), None)
+    with answering(name) as answer:
+        try:
+            code = _ended(arguments)
+        except PiegraphError as error:
+            said = str(error) if isinstance(error, Interrupted) else f"error: {error}"
+            print(said, file=sys.stderr)
+            answer.error, code = error_object(error), error.exit_code
+        except Exception as bug:
+            hint = "the traceback is on stderr: report it"
+            answer.error = error_object(PiegraphError(f"{type(bug).__name__}: {bug}", "bug in piegraph", hint))
+            raise
+        finally:
+            if wants_json(arguments) and (answer.result is not None or answer.error is not None):
+                print(answer.text(), flush=True)
+    return code
+
+
+def _ended(arguments: Sequence[str]) -> int:
+    """The exit code of a command line. Whatever a user can cause or mend is raised as a `PiegraphError`."""
     try:
         code = app(list(arguments) or ["--help"], prog_name="piegraph", standalone_mode=False)
-        if code == INTERRUPTED:
-            raise KeyboardInterrupt
-        return int(code or 0)
-    except PiegraphError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        print("interrupted; the same command goes on from here", file=sys.stderr)
-        return INTERRUPTED
+        code = Interrupted.exit_code
+    except SystemExit as ended:
+        if ended.code == 1:  # typer's word for a reader that has left
+            raise BrokenPipeError from None
+        raise
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
         command = f"piegraph {context.info_name}" if context is not None and context.parent is not None else "piegraph"
-        print(f"error: {error.format_message()}\n  try: {command} --help", file=sys.stderr)
-        return error.exit_code
+        raise UsageError(error.format_message(), hint=f"{command} --help") from None
+    if code == Interrupted.exit_code:
+        raise Interrupted("interrupted", hint="the same command goes on from here")
+    return int(code or 0)
 
 
 def main() -> None:
     """The `piegraph` program."""
     sys.unraisablehook = _interrupt_again
-    sys.exit(call(sys.argv[1:]))
+    try:
+        code = call(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # who read it has left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 128 + signal.SIGPIPE
+    sys.exit(code)

@@ -1,5 +1,6 @@
 """The command `record`: cameras that are plugged in, their live picture, and takes that become sequences."""
 
+import logging
 import queue
 import re
 import sys
@@ -12,7 +13,8 @@ import typer
 
 from piegraph_cli.commands.options import AsJson
 from piegraph_cli.commands.output import Report, emit
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import UsageError, command_line
+from piegraph_cli.text import counted
 
 if TYPE_CHECKING:
     from piegraph_cli.capture.cameras import Mode
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from piegraph_cli.capture.station import Station
     from piegraph_cli.recording.camera import Camera
     from piegraph_cli.recording.layout import CamerasFile
+
+log = logging.getLogger("piegraph")
 
 BOARD_SECONDS = 2.0
 
@@ -109,8 +113,8 @@ def _prepared(
     notes += [*station.notes, *check(load, recording, seconds)]
     notes += [f"{name} is what a take left that was killed: remove it" for name in unfinished(recording)]
     for note in notes:
-        _say(f"note: {note}")
-    _say(f"{len(models)} cameras, {load.needed:.0f} MB a second, space for {load.seconds / 60:.0f} minutes")
+        log.warning("note: %s", note)
+    _say(f"{counted(len(models), 'camera')}, {load.needed:.0f} MB a second, space for {load.seconds / 60:.0f} minutes")
     return models
 
 
@@ -139,12 +143,15 @@ def _report(recording: Path, session: "Session", board: bool) -> Report:
     unposed = [name for name, entry in file.cameras.items() if entry.T_world_camera is None]
     following = ""
     if board:
-        following = f"piegraph calibrate {recording} --sequence board"
+        following = command_line("calibrate", recording, "--sequence", "board")
     elif unposed:
-        following = f"piegraph record {recording} --board, then piegraph calibrate {recording} --sequence board"
+        following = f"{command_line('record', recording, '--board')}, then "
+        following += command_line("calibrate", recording, "--sequence", "board")
     kept = [taken for taken in session.taken if taken.kept]
-    lines = [f"{taken.sequence}: {taken.seconds:.1f} s, {sum(taken.frames.values())} images" for taken in kept]
-    lines += [f"{len(kept)} takes in {recording}"] + ([f"next: {following}"] if following else [])
+    lines = [
+        f"{taken.sequence}: {taken.seconds:.1f} s, {counted(sum(taken.frames.values()), 'image')}" for taken in kept
+    ]
+    lines += [f"{counted(len(kept), 'take')} in {recording}"] + ([f"next: {following}"] if following else [])
     rows: list[dict[str, Any]] = [
         {"sequence": t.sequence, "frames": t.frames, "dropped": t.dropped, "seconds": t.seconds, "kept": t.kept}
         for t in session.taken

@@ -1,17 +1,20 @@
-"""Commands on whole runs: running a recipe, and looking at what there is."""
+"""Commands on whole runs: running a recipe, and looking at what came of it."""
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from piegraph_cli.commands.names import recipes
-from piegraph_cli.commands.options import AsJson, Backend, Device, Force, Jobs, Rehash, RunFolder, Settings
-from piegraph_cli.commands.output import FEW, Report, emit, logging_to, summary
+from piegraph_cli.commands.options import AsJson, Backend, Device, Force, Jobs, Rehash, RunFolder, Settings, running
+from piegraph_cli.commands.output import Report, emit, logging_to, summary
 from piegraph_cli.commands.stages import require_run
+from piegraph_cli.commands.survey import grouped
 from piegraph_cli.errors import UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.text import Column, Line, Table
 from piegraph_cli.workspace.recipe import Recipe, find_recipe, load_recipe, parse_setting
 
 if TYPE_CHECKING:
@@ -43,8 +46,6 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Run a recipe's stages that are not fresh."""
-    from piegraph_cli.workspace.execute import Options
-
     if recipe is None and (run is None or not (run / "recipe.toml").exists()):
         raise UsageError("no recipe given", hint="piegraph run RECIPE, or --run with a folder that has a recipe.toml")
     folder = run or Path("runs") / Path(str(recipe)).stem
@@ -54,8 +55,9 @@ def run(
     if dry:
         emit(_foreseen(opened, until, force), as_json)
         return
+    how = running((), force, jobs, backend, device)
     with logging_to(folder):
-        outcomes = _run(opened, named, until, Options((), force, jobs, backend, device))
+        outcomes = _run(opened, named, until, how)
     emit(summary(outcomes, folder), as_json)
 
 
@@ -109,118 +111,48 @@ def _foreseen(run: "Run", until: str | None, force: bool) -> Report:
     from piegraph_cli.workspace.survey import foresee
 
     rows = foresee(run, until, force)
-    lines = _grouped(rows, "reason", every=False)
-    return Report({"run": str(run.folder), "would_make": rows}, ["would make:", *lines] if rows else ["all is fresh"])
-
-
-def _grouped(rows: list[dict[str, Any]], why: str, every: bool) -> list[str]:
-    """A line per unit; where many units of a stage share what is said of them, and not `every` one is asked for, one line."""
-    groups: dict[tuple[str, str, str], list[str]] = {}
-    for row in rows:
-        said = " ".join(str(row[why]).split("\n")[0].split())
-        groups.setdefault((row["stage"], row.get("state", ""), said), []).append(row["unit"] or "-")
-    lines = []
-    for (stage, state, said), units in groups.items():
-        if len(units) > FEW and not every:
-            units = [f"{len(units)} {STAGES[stage].unit}s"]
-        lines += [f"{stage:10s} {unit:16s} {state + ' ' if state else ''}{said}".rstrip() for unit in units]
-    return lines
-
-
-def _size(count: int) -> str:
-    """Bytes for people."""
-    power = min((len(str(count)) - 1) // 3, 4)
-    return f"{count / 1000**power:.{min(power, 1)}f} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
-
-
-def status(
-    run: RunFolder,
-    units: Annotated[
-        bool, typer.Option("--units", help="list every unit, not only those that are not fresh", show_default=False)
-    ] = False,
-    rehash: Rehash = False,
-    as_json: AsJson = False,
-) -> None:
-    """Count a run's artifacts: fresh, stale, missing or failed.
-
-    Beside the counts stands what the artifacts take on disk; units that are not fresh are listed with the reason.
-    """
-    require_run(run)
-    opened = open_run(run)
-    if rehash:
-        opened.known.forget()
-    emit(_status(opened, units), as_json)
-
-
-def _status(run: "Run", every: bool) -> Report:
-    """What `status` prints: counts per stage, then units that are not fresh, or `every` one."""
-    from piegraph_cli.workspace.survey import STATES, UNCHECKED, count_states
-    from piegraph_cli.workspace.survey import status as rows_of
-
-    rows = rows_of(run)
-    counts, total = count_states(rows), sum(row["bytes"] for row in rows)
-    lines = [f"{'stage':10s}" + "".join(f"{state:>9s}" for state in STATES) + f"{'on disk':>12s}"]
-    for of in counts:
-        numbers = "".join(f"{of[state] or '-':>9}" for state in STATES)
-        lines.append(f"{of['stage']:10s}{numbers}{_size(of['bytes']):>12s}")
-    lines.append(f"{'':10s}{'':36s}{_size(total):>12s}")
-    said = [row | {"why": row["quality"] or row["failure"] or row["reason"]} for row in rows]
-    listed = _grouped([row for row in said if every or row["state"] != "fresh"], "why", every)
-    unchecked = sum(row["reason"] == UNCHECKED for row in rows)
-    if unchecked:
-        listed.append(f"{unchecked} artifacts are {UNCHECKED}; `piegraph run --force` makes them again")
-    value = {"run": str(run.folder), "stages": counts, "bytes": total, "artifacts": rows}
-    return Report(value, [*lines, "", *listed] if listed else lines)
-
-
-def clean(
-    run: RunFolder,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="remove it; without, only say what would be removed", show_default=False)
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Remove what a run does not use any more.
-
-    Stale artifacts, those of sequences, models or trials that the recipe no longer has, and what killed processes left.
-    """
-    require_run(run)
-    emit(_cleaned(open_run(run), yes), as_json)
-
-
-def _cleaned(run: "Run", yes: bool) -> Report:
-    """What `clean` prints: files that could go or have gone, with their sizes."""
-    from piegraph_cli.workspace.clean import find_waste, remove
-
-    found = find_waste(run)
-    files = remove(found) if yes else found
-    rows = [{"file": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in files]
-    total = sum(waste.bytes for waste in files)
-    lines = [f"{_size(waste.bytes):>10s}  {waste.path.relative_to(run.folder)}  {waste.reason}" for waste in files]
-    end = f"removed {len(files)} files" if yes else f"{len(files)} files could go"
-    lines.append(f"{_size(total):>10s}  {end}{'' if yes or not files else '; remove them with --yes'}")
-    return Report({"run": str(run.folder), "removed": yes, "bytes": total, "files": rows}, lines)
+    told: list[Line] = ["all is fresh"]
+    if rows:
+        told = ["would make:", grouped([row | {"state": ""} for row in rows], "reason")]
+    return Report({"run": str(run.folder), "would_make": rows}, told)
 
 
 def report(run: RunFolder, as_json: AsJson = False) -> None:
-    """Draw a run's pictures into RUN/report."""
-    from piegraph_cli.report.draw import draw_report
+    """Write a run's report into RUN/report/index.html.
 
+    One file for any browser, with verdicts, tables, pictures of all sequences, plots, and how to make it again.
+    """
     require_run(run)
     with logging_to(run):
-        files = draw_report(run)
-    emit(Report({"pictures": [str(f) for f in files]}, [str(f) for f in files]), as_json)
+        emit(_reported(run), as_json)
+
+
+def _reported(run: Path) -> Report:
+    """What `report` prints: a word on each part of the run, and where the page is."""
+    from tqdm import tqdm
+
+    from piegraph_cli.report.page import write_report
+
+    written = write_report(run, lambda names: tqdm(names, desc="report", leave=False, disable=None, delay=1))
+    rows = [
+        (of.part, of.word, of.figure + (f": {of.command}" if of.word == "not yet" else "")) for of in written.verdicts
+    ]
+    lines: list[Line] = [Table([Column("", 10), Column("", 8), Column()], rows), str(written.path)]
+    value = {"report": str(written.path), "verdicts": [asdict(of) for of in written.verdicts]}
+    return Report(value | {"left_out": [asdict(gap) for gap in written.left_out]}, lines)
 
 
 def view(
-    run: RunFolder,
+    run: Annotated[list[Path], typer.Option("--run", help="run folder; give several to switch between them")],
     sequence: Annotated[str | None, typer.Option(help="sequence to show [default: the first]")] = None,
-    port: Annotated[int, typer.Option(min=1024, max=65535, help="port on this machine")] = 8080,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="port on this machine; 0: a free one")] = 0,
 ) -> None:
-    """Show clouds and tracks in the browser.
+    """Show runs in the browser: images, hand, cloud, particles, predictions and plans.
 
     Serves on 127.0.0.1 only, until interrupted.
     """
-    from piegraph_cli.viewer.serve import serve
+    from piegraph_cli.viewer.view import view as serve
 
+    for folder in run:
+        require_run(folder)
     serve(run, sequence, port)

@@ -6,13 +6,14 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from inspect import Signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.commands.options import stage_parameters
+from piegraph_cli.commands.options import running, stage_parameters
 from piegraph_cli.commands.output import Report, emit, logging_to, summary, with_failures
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import PiegraphError, UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace.call import options_of
@@ -43,8 +44,6 @@ def _command(stage: Stage) -> Callable[..., None]:
     def command(
         folder: Path | None, force: bool, jobs: int, backend: str, device: str, as_json: bool, **values: Any
     ) -> None:
-        from piegraph_cli.workspace.execute import Options
-
         given = {name: value for name, value in values.items() if value is not None}
         out: Path | None = given.pop("out", None) if call.out else None
         if folder is None:
@@ -53,23 +52,37 @@ def _command(stage: Stage) -> Callable[..., None]:
         instead = call.instead if call.instead and given.pop(call.instead.flag) else None
         run = open_run(folder)
         settings, units = call.apply(run, given) if call.apply else (given, ())
+        how = running(units, force, jobs, backend, device)  # type: ignore[arg-type]
         run.recipe = run.recipe.with_values(stage, settings, f"piegraph {stage.name}", Path.cwd())
         if instead:
             emit(Report(*instead.make(folder, run.recipe.params(stage), jobs, force)), as_json)
             return
         if stage.reads:
             require_run(folder)
-        how = Options(units, force, jobs, backend, device)  # type: ignore[arg-type]
         if call.out and (out or not os.access(folder, os.W_OK)):
             emit(_run_beside(stage, run, how, out), as_json)
             return
-        with logging_to(folder):
-            report = _run(stage, run, how)
-        emit(report, as_json)
+        emit(_run_in(folder, stage, run, how), as_json)
 
     command.__signature__ = Signature(stage_parameters(call, options))  # type: ignore[attr-defined]
     command.__doc__ = f"{stage.help[0].upper()}{stage.help[1:]}.\n\n{call.more}".strip()
     return command
+
+
+def _run_in(folder: Path, stage: Stage, run: "Run", how: "Options") -> Report:
+    """Run the stage; a new folder in which nothing was made is taken away again, unless its log tells of a bug."""
+    new = not folder.exists()
+    try:
+        with logging_to(folder):
+            report = _run(stage, run, how)
+    except PiegraphError:
+        if new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    made = (folder / "recipe.toml").exists() or any(folder.rglob("*.h5"))
+    if new and not made and report.error and report.error.kind != "bug":
+        shutil.rmtree(folder, ignore_errors=True)
+    return report
 
 
 def _run(stage: Stage, run: "Run", options: "Options") -> Report:
@@ -90,12 +103,14 @@ def _run(stage: Stage, run: "Run", options: "Options") -> Report:
 def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) -> Report:
     """Run the stage in a folder that borrows what the run has: nothing is written into it. The artifact is kept in `out`."""
     written = f"{stage.writes}.h5"
-    own = {written, "run.log", "failures.json", ".locks", ".known.json"}
+    own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json"}
     with tempfile.TemporaryDirectory(prefix="piegraph-") as made:
         folder = Path(made)
         for entry in run.folder.resolve().iterdir():
             if entry.name not in own:
                 (folder / entry.name).symlink_to(entry)
+            elif entry.name == ".known.json":  # what was read of files is known there, too, and may change there
+                shutil.copyfile(entry, folder / entry.name)
         with logging_to(folder):
             report = _run(stage, open_run(folder, run.recipe), options)
             if out is None:
@@ -103,7 +118,7 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
         if out is not None and (folder / written).exists():
             with atomic_file(out) as temporary:
                 shutil.copyfile(folder / written, temporary)
-    if stage.name in report.value:
+    if report.value and stage.name in report.value:
         report.value[stage.name] = str(out) if out else None
     return report
 
@@ -117,14 +132,16 @@ def _accepted(outcomes: "Sequence[Outcome]") -> bool:
 
 
 def _report(stage: Stage, run: "Run", outcomes: "Sequence[Outcome]", seconds: float) -> Report:
-    """What the run has now, where the stage tells it; else, or where its only unit failed, what became of the units."""
-    if stage.call.describe and not any(o.unit is None and o.error for o in outcomes):
+    """What the run has now, where the stage tells it and its only unit did not fail; else what became of the units."""
+    report = summary(outcomes, run.folder)
+    if stage.call.describe and any(o.unit is None and o.error for o in outcomes):
+        return replace(report, value=None)
+    if stage.call.describe:
         value, lines = load(stage.call.describe)(run)
         return with_failures(value, lines, outcomes) if stage.unit != "run" else Report(value, lines)
-    report = summary(outcomes, run.folder)
     made = sum(o.state == "done" for o in outcomes)
     if stage.call.counts and made:
         rate = made * getattr(run.recipe.params(stage), stage.call.counts) / seconds
-        report.value[f"{stage.call.counts}_per_second"] = rate
-        report.lines.append(f"{rate:.1f} {stage.call.counts} a second")
+        told = {**(report.value or {}), f"{stage.call.counts}_per_second": rate}
+        return replace(report, value=told, lines=[*report.lines, f"{rate:.1f} {stage.call.counts} a second"])
     return report

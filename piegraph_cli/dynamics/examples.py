@@ -1,6 +1,6 @@
 """What models learn from: tracked sequences, as pairs of frames for one-step models and as windows for frame-by-frame ones."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -54,6 +54,11 @@ class Sequences:
         """[S] the particle nearest to the hand where each stroke begins."""
         first = self.strokes[:, 0]
         return np.linalg.norm(self.positions[first, :, :2] - self.hand[first, None], axis=-1).argmin(-1)
+
+    def at_rest(self, most: int) -> list[np.ndarray]:
+        """At most so many states [N, 3] (m) of the object: those at the ends of strokes, where nothing lifts it."""
+        frames = np.unique(self.strokes)
+        return list(self.positions[frames[np.unique(np.linspace(0, len(frames) - 1, most).astype(int))]])
 
     def whole(self) -> Strokes:
         """All strokes [S] from their first to their last frame."""
@@ -166,6 +171,40 @@ class Window:
     def known(self, step: int) -> torch.Tensor | None:
         """The particles [B, N] that are known `step` frames after the next, or None where all are."""
         return None if self.seen is None else self.seen[:, step]
+
+
+def finer(data: Sequences, step: float) -> Sequences:
+    """The strokes alone, with frames between theirs where the hand moves by more than `step` (m), on straight lines.
+
+    What is between two frames is known where both are. There are no pairs.
+    """
+    frames, strokes, count = [], [], 0
+    for first, last in data.strokes:
+        moves = np.linalg.norm(np.diff(data.hand[first : last + 1], axis=0), axis=1)
+        parts = np.maximum(np.rint(moves / step), 1).astype(int)
+        between = [first + k + np.arange(n) / n for k, n in enumerate(parts)]
+        frames.append(np.concatenate([*between, [last]]))
+        strokes.append((count, count + len(frames[-1]) - 1))
+        count += len(frames[-1])
+    at = np.concatenate(frames)
+    low = np.floor(at).astype(int)
+    high, share = np.ceil(at).astype(int), (at - low).astype(np.float32)
+
+    def along(of: np.ndarray) -> np.ndarray:
+        weight = share.reshape(-1, *(1,) * (of.ndim - 1))
+        return (1 - weight) * of[low] + weight * of[high]
+
+    seen = None if data.seen is None else data.seen[low] & data.seen[high]
+    none = np.zeros((0, 2), np.int64)
+    return replace(
+        data,
+        positions=along(data.positions),
+        hand=along(data.hand),
+        strokes=np.array(strokes),
+        pairs=none,
+        pair_stroke=none[:, 0],
+        seen=seen,
+    )
 
 
 class Windows:

@@ -31,7 +31,7 @@ class GBND(nn.Module):
         super().__init__()
         self.params = params
         width = params.hidden
-        self.nodes = _encoder(3 * HISTORY + 1 + 2 + 3, width)
+        self.nodes = _encoder(3 * HISTORY + 1 + 2 + 3 + 1, width)
         self.edges = _encoder(3 + 1 + 1, width)
         self.receive, self.send = nn.Linear(width, width), nn.Linear(width, width, bias=False)
         self.relate = nn.Linear(width, width, bias=False)
@@ -48,17 +48,17 @@ class GBND(nn.Module):
         number = torch.full_like(neighbors[..., :1], positions.shape[1])
         return torch.cat([neighbors, number], -1), torch.cat([nearest, tool], -1) < self.params.radius
 
-    def step(self, past: Tensor, hand: Tensor, after: Tensor) -> Tensor:
-        """Particles [B, N, 3] one frame later; past [B, HISTORY + 1, N, 3], hand and where it goes [B, 2] (m)."""
+    def step(self, past: Tensor, hand: Tensor, after: Tensor, mode: Tensor) -> Tensor:
+        """Particles [B, N, 3] one frame later; past [B, HISTORY + 1, N, 3], hand and where it goes [B, 2] (m), mode [B]."""
         x = past[:, -1]
         batch, particles, _ = x.shape
         neighbors, near = self.graph(x.detach(), hand)
         moved = (past[:, 1:] - past[:, :-1]).transpose(1, 2).flatten(2) * SCALE
         own = torch.cat([moved, x[..., 2:] * DECIMETRE], -1)
-        own = torch.nn.functional.pad(own, (0, 5)) + x.new_tensor([0.0] * (3 * HISTORY + 1) + [1, 0, 0, 0, 0])
+        own = torch.nn.functional.pad(own, (0, 6)) + x.new_tensor([0.0] * (3 * HISTORY + 1) + [1, 0, 0, 0, 0, 0])
         motion = torch.nn.functional.pad((after - hand) * SCALE, (0, 1))
         kind = x.new_tensor([0.0] * 3 * HISTORY + [TOOL_HEIGHT * DECIMETRE, 0, 1]).expand(batch, -1)
-        tool = torch.cat([kind, motion], -1)[:, None]
+        tool = torch.cat([kind, motion, mode[:, None].to(x)], -1)[:, None]
         nodes = self.nodes(torch.cat([own, tool], 1))
         place = torch.cat([hand, torch.full_like(hand[:, :1], TOOL_HEIGHT)], -1)[:, None]
         offset = (x[:, :, None] - gather_neighbors(torch.cat([x, place], 1), neighbors)) * DECIMETRE
@@ -79,7 +79,7 @@ class GBND(nn.Module):
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
             target, hand, seen = window.future[:, k], window.hand[:, k], window.known(k)
-            x = self.step(past, hand, window.hand[:, k + 1])
+            x = self.step(past, hand, window.hand[:, k + 1], window.mode)
             error = mean_seen(((x - target) * DECIMETRE).square().sum(-1), seen)
             neighbors = self.graph(target, hand)[0][..., :-1]
             lengths = [

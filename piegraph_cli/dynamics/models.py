@@ -5,13 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
 from piegraph_cli.dynamics import gbnd, pgnd, sms
 from piegraph_cli.dynamics.ablations import GNN, ActionNodeEGNN
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows
+from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, finer
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import (
     TRAINED_AS,
@@ -23,12 +24,14 @@ from piegraph_cli.dynamics.params import (
     PredictionParams,
     RigidParams,
     SMSParams,
+    StepParams,
     split_label,
 )
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
+from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.springs import build_springs
 
@@ -36,6 +39,10 @@ Correct = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 CHUNK = 64
 """Scenes that a network in PyTorch predicts together, so that its arrays stay in the cache."""
+
+
+SHORTEST = 1e-3
+"""Of a step that a model by frames goes at the end of a stroke, as a share of the others: less is rounding."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,10 @@ class Trained:
     """Of the strokes it was trained on: 0 push, 1 pick."""
     particles: int
     """Of the objects it was trained on."""
+    rest: np.ndarray | None = None
+    """[N, 3] metres: such an object before its first stroke; None where it is not known."""
+    sizes: Sizes | None = None
+    """How large it was, in all states that were seen."""
 
 
 @dataclass(frozen=True)
@@ -103,16 +114,19 @@ def _in_torch(trained: Trained, rest: torch.Tensor) -> Predict:
 
 
 def _frame_by_frame(history: int) -> Callable[[Trained, torch.Tensor], Predict]:
-    """The object rests before a stroke; the hand goes at the pace of the training data, and waits where it ends."""
+    """The object rests before a stroke; the hand goes as in the training data, and waits where it ends."""
 
     def make(trained: Trained, rest: torch.Tensor) -> Predict:
+        assert isinstance(trained.settings, StepParams)
+        pace = min(trained.pace, trained.settings.step)
+
         def roll(x: torch.Tensor, strokes: Strokes) -> torch.Tensor:
             start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
-            past, hand = x[:, None].expand(-1, history + 1, -1, -1), start
-            for k in range(1, math.ceil(float(length.max()) / trained.pace) + 1):
-                after = start + along / length * torch.minimum(length, length.new_tensor(k * trained.pace))
-                moves = (length > (k - 1) * trained.pace)[..., None]
-                x = torch.where(moves, trained.network.step(past, hand, after), x)  # type: ignore[operator]
+            past, hand, mode = x[:, None].expand(-1, history + 1, -1, -1), start, strokes.mode
+            for k in range(1, math.ceil(float(length.max()) / pace) + 1):
+                after = start + along / length * torch.minimum(length, length.new_tensor(k * pace))
+                moves = (length > (k - 1 + SHORTEST) * pace)[..., None]
+                x = torch.where(moves, trained.network.step(past, hand, after, mode), x)  # type: ignore[operator]
                 past, hand = torch.cat([past[:, 1:], x[:, None]], 1), after
             return x
 
@@ -174,7 +188,7 @@ def _rigid_body(params: RigidParams, picks: bool) -> RigidBody:
 
 def _windows(history: int) -> Callable[[Sequences, Any, str], Windows]:
     def examples(data: Sequences, params: Any, device: str) -> Windows:
-        return Windows(data, history, params.rollout, device, noise=params.noise, turn=params.turn)
+        return Windows(finer(data, params.step), history, params.rollout, device, noise=params.noise, turn=params.turn)
 
     return examples
 

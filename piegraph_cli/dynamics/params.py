@@ -176,6 +176,7 @@ class SMSParams(LearningParams):
 class StepParams(LearningParams):
     """Settings of the models that predict frame by frame."""
 
+    step: float = Field(0.01, gt=0, description="the hand's motion from one frame to the next, at most [m]")
     rollout: int = Field(3, ge=1, description="frames predicted in a row in training")
     noise: float = Field(0.002, ge=0, description="noise on the particles in training [m]")
     turn: bool = Field(True, description="turn every training example about the vertical by a random angle")
@@ -192,7 +193,8 @@ class PGNDParams(StepParams):
     noise: float = Field(0.0, ge=0, description="noise on the particles in training [m]")
     cell: float = Field(0.02, gt=0, description="edge of a grid cell [m]")
     reach: float = Field(0.2, gt=0, description="particles within this of a node give its feature [m]")
-    gripper: float = Field(0.04, gt=0, description="nodes within this of the hand take its velocity [m]")
+    gripper: float = Field(0.04, gt=0, description="nodes within this of a hand that holds take its velocity [m]")
+    pusher: float = Field(0.01, gt=0, description="radius of the ring of points that stands for a pusher [m]")
 
 
 class GBNDParams(StepParams):

@@ -6,6 +6,7 @@ Source: the paper's baseline PGND; sizes and rules as the method notes in docs/m
 
 import math
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -14,9 +15,10 @@ from piegraph_cli.dynamics.egnn import DECIMETRE, small_linear
 from piegraph_cli.dynamics.examples import Window
 from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import PGNDParams
+from piegraph_cli.params import PICK
 
-FRAME = 0.2
-"""Seconds between frames: recordings and simulations are sampled at 5 Hz."""
+FRAME = 0.1
+"""Seconds between frames, whatever the hand's pace was: pushes are quasi-static."""
 HISTORY = 2
 OCTAVES = 5
 NODES = 50
@@ -30,6 +32,19 @@ def _mlp(*sizes: int) -> nn.Sequential:
     for a, b in pairwise(sizes):
         layers += [nn.Linear(a, b), nn.ReLU()]
     return nn.Sequential(*layers[:-1])
+
+
+RING = 4
+HEIGHTS = (0.01, 0.03)
+"""Points on a pusher: so many around its axis, at these heights above the table (m)."""
+
+
+class Tool(NamedTuple):
+    """Where the hand is [B, 2] (m), how it moves in one frame [B, 2] (m), and whether it holds [B]."""
+
+    place: Tensor
+    motion: Tensor
+    holds: Tensor
 
 
 class _Align(nn.Module):
@@ -87,48 +102,70 @@ class PGND(nn.Module):
         self.encode = _mlp(6 * (HISTORY + 1), 64, 128, 64)
         self.decode = nn.Sequential(_mlp(3 + 6 * OCTAVES + 64, 64, 64, 32), nn.ReLU(), small_linear(32, 3))
 
-    def features(self, past: Tensor) -> Tensor:
-        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last).
+    def features(self, past: Tensor, centre: Tensor) -> Tensor:
+        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last), the object at `centre`.
 
         In decimetres inside, which replaces normalised layers: learning from metres takes several times as many steps.
         """
-        centre = past[:, -1].mean(1)
-        centre = torch.cat([centre[:, :2], torch.zeros_like(centre[:, 2:])], -1)[:, None, None]
-        x = past[:, 1:] - centre
+        x = past[:, 1:] - centre[:, None, None]
         velocity = 2 * (past[:, 1:] - past[:, :-1]) / FRAME
         x, velocity = x.flip(1), velocity.flip(1)
         aligned = x[:, 0] @ self.align(x[:, 0] * DECIMETRE)
         rows = [aligned, velocity[:, 0], *x[:, 1:].unbind(1), *velocity[:, 1:].unbind(1)]
         return self.encode(torch.cat(rows, -1) * DECIMETRE)
 
-    def field(self, nodes: Tensor, positions: Tensor, features: Tensor, hand: Tensor, motion: Tensor) -> Tensor:
+    def pusher(self, hand: Tensor, motion: Tensor) -> Tensor:
+        """Frames [B, HISTORY + 2, P, 3] (m, newest last) of the points on a pusher that is at `hand` [B, 2] (m) now.
+
+        It goes straight on, by `motion` [B, 2] (m) from frame to frame: its velocity is that of the step to come.
+        """
+        angles = torch.arange(RING, device=hand.device) * (2 * math.pi / RING)
+        ring = self.params.pusher * torch.stack([angles.cos(), angles.sin()], -1).to(hand)
+        back = torch.arange(HISTORY + 1, -1, -1, device=hand.device).to(hand)
+        axis = hand[:, None] - back[None, :, None] * motion[:, None]
+        plane = (axis[:, :, None] + ring).repeat(1, 1, len(HEIGHTS), 1)
+        heights = hand.new_tensor(HEIGHTS).repeat_interleave(RING).expand(*plane.shape[:-1])
+        return torch.cat([plane, heights[..., None]], -1)
+
+    def field(
+        self, nodes: Tensor, positions: Tensor, counts: Tensor, features: Tensor, centre: Tensor, tool: Tool
+    ) -> Tensor:
         """Velocities [B, M, 3] (m/s) at nodes [B, M, 3] (m, of the grid's frame).
 
-        positions [B, N, 3] and hand [B, 2] in the same frame; motion [B, 2]: the hand's in one frame (m).
+        positions [B, P, 3] of particles and the pusher's points, of which `counts` [B, P] are there, with their features
+        [B, P, 64]; the object's centre [B, 3], on the table. Nodes near a tool that holds take its velocity.
         """
-        near = (torch.cdist(nodes, positions) < self.params.reach).to(features)
-        feature = near @ features / near.sum(-1, keepdim=True).clamp_min(1)
-        centre = torch.cat([positions.mean(1)[:, :2], torch.zeros_like(positions[:, 0, 2:])], -1)
+        near = (torch.cdist(nodes, positions) < self.params.reach) & counts[:, None]
+        feature = near.to(features) @ features / near.sum(-1, keepdim=True).clamp_min(1)
         place = (nodes - centre[:, None]) * math.pi
         waves = torch.cat([place * 2**k for k in range(OCTAVES)], -1)
         velocity = self.decode(torch.cat([place, waves.sin(), waves.cos(), feature], -1))
-        held = (nodes[..., :2] - hand[:, None]).norm(dim=-1, keepdim=True) < self.params.gripper
-        rigid = torch.nn.functional.pad(motion / FRAME, (0, 1))[:, None]
+        held = (nodes[..., :2] - tool.place[:, None]).norm(dim=-1, keepdim=True) < self.params.gripper
+        held = held & tool.holds[:, None, None]
+        rigid = torch.nn.functional.pad(tool.motion / FRAME, (0, 1))[:, None]
         velocity = torch.where(held, rigid, velocity)
         edge = (WALL + 0.5) * self.params.cell
         far = NODES * self.params.cell - edge
         velocity = torch.where(nodes < edge, velocity.clamp_min(0), velocity)
         return torch.where(nodes > far, velocity.clamp_max(0), velocity)
 
-    def step(self, past: Tensor, hand: Tensor, after: Tensor) -> Tensor:
-        """Particles [B, N, 3] one frame later, while the hand goes from `hand` to `after` [B, 2] (m)."""
-        cell = self.params.cell
-        middle = past[:, -1].mean(1)[:, :2]
-        origin = torch.cat([NODES * cell / 2 - middle, torch.full_like(middle[:, :1], WALL * cell)], -1)
-        x = past[:, -1] + origin[:, None]
-        touched, weights = stencil(x, cell)
+    def step(self, past: Tensor, hand: Tensor, after: Tensor, mode: Tensor) -> Tensor:
+        """Particles [B, N, 3] one frame later, while the hand goes from `hand` to `after` [B, 2] (m); mode [B]."""
+        cell, particles = self.params.cell, past.shape[2]
+        picks = mode == PICK
+        centre = torch.nn.functional.pad(past[:, -1].mean(1)[:, :2], (0, 1))
+        origin = past.new_tensor([NODES * cell / 2, NODES * cell / 2, WALL * cell]) - centre
+        pusher = self.pusher(hand, after - hand)
+        # a pick has no pusher: a particle again in its place, which no node counts
+        pusher = torch.where(picks[:, None, None, None], past[:, :, :1], pusher)
+        both = torch.cat([past, pusher], 2)
+        pushes = (~picks)[:, None].expand(-1, pusher.shape[2])
+        counts = torch.cat([torch.ones_like(past[:, -1, :, 0], dtype=torch.bool), pushes], 1)
+        x = both[:, -1] + origin[:, None]
+        touched, weights = stencil(x[:, :particles], cell)
         nodes, place = active_nodes(touched.flatten(1, 2))
-        velocity = self.field(nodes.to(x) * cell, x, self.features(past), hand + origin[:, :2], after - hand)
+        tool = Tool(hand + origin[:, :2], after - hand, picks)
+        velocity = self.field(nodes.to(x) * cell, x, counts, self.features(both, centre), centre + origin, tool)
         around = velocity.gather(1, place[..., None].expand(-1, -1, 3)).view(*touched.shape)
         return past[:, -1] + FRAME * (weights[..., None] * around).sum(2)
 
@@ -136,7 +173,7 @@ class PGND(nn.Module):
         """100 times the mean squared particle error (m^2) over the frames of a window."""
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
-            x = self.step(past, window.hand[:, k], window.hand[:, k + 1])
+            x = self.step(past, window.hand[:, k], window.hand[:, k + 1], window.mode)
             error = mean_seen((x - window.future[:, k]).square().sum(-1), window.known(k))
             total = total + 100 * (error * window.valid[:, k]).mean()
             past = torch.cat([past[:, 1:], x[:, None]], 1)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import differential_evolution
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
@@ -81,6 +80,8 @@ class RigidBody(nn.Module):
         return float(self._errors(self.numbers[None], *scene).mean()), rigid
 
     def _fit_numbers(self, *scene: Tensor) -> None:
+        from scipy.optimize import differential_evolution  # planning does without
+
         gyration = float(self.shape.square().sum(1).mean().sqrt())
         middle = np.array([math.log(self.params.friction), math.log(0.8 * gyration), self.params.reach, 0.0, 0.0])
 

@@ -11,6 +11,8 @@ MASK_COLOR = (255, 0, 200)
 HAND_COLOR = (255, 210, 0)
 TIP_COLOR = (255, 40, 40)
 PARTICLE_COLOR = (255, 255, 0)
+SMALL = 320
+"""Pixels of an image's width below which lines and dots are thinner."""
 BONES = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (5, 9), (9, 10), (10, 11), (11, 12), (9, 13)]
 BONES += [(13, 14), (14, 15), (15, 16), (13, 17), (17, 18), (18, 19), (19, 20), (0, 17)]
 
@@ -47,29 +49,30 @@ def draw_hand(image: np.ndarray, landmarks: np.ndarray, detected: bool) -> np.nd
 
     if not np.isfinite(landmarks).all():
         return image
-    points = [(round(float(x)), round(float(y))) for x, y in landmarks]
+    points, bold = [(round(float(x)), round(float(y))) for x, y in landmarks], detected and image.shape[1] >= SMALL
     for a, b in BONES:
-        cv2.line(image, points[a], points[b], HAND_COLOR, 2 if detected else 1, cv2.LINE_AA)
+        cv2.line(image, points[a], points[b], HAND_COLOR, 2 if bold else 1, cv2.LINE_AA)
     for k, point in enumerate(points):
-        cv2.circle(image, point, 3 if detected else 2, TIP_COLOR if k in (8, 12) else HAND_COLOR, -1, cv2.LINE_AA)
+        cv2.circle(image, point, 3 if bold else 2, TIP_COLOR if k in (8, 12) else HAND_COLOR, -1, cv2.LINE_AA)
     return image
 
 
 def draw_particles(image: np.ndarray, positions: np.ndarray, camera: Camera, colors: np.ndarray) -> np.ndarray:
-    """An RGB image with particles [N, 3] (m, world) projected into it, in colours uint8 [N, 3]."""
+    """An RGB image of a camera, also a smaller one, with particles [N, 3] (m, world) in colours uint8 [N, 3]."""
     import cv2
 
     pixels, depth = camera.project(positions)
+    pixels, radius = pixels * (image.shape[1] / camera.width), 3 if image.shape[1] >= SMALL else 2
     for (x, y), z, color in zip(pixels, depth, colors.tolist(), strict=True):
-        if z > 0 and 0 <= x < camera.width and 0 <= y < camera.height:
-            cv2.circle(image, (round(float(x)), round(float(y))), 4, (0, 0, 0), -1, cv2.LINE_AA)
-            cv2.circle(image, (round(float(x)), round(float(y))), 3, color, -1, cv2.LINE_AA)
+        if z > 0 and 0 <= x < image.shape[1] and 0 <= y < image.shape[0]:
+            cv2.circle(image, (round(float(x)), round(float(y))), radius + 1, (0, 0, 0), -1, cv2.LINE_AA)
+            cv2.circle(image, (round(float(x)), round(float(y))), radius, color, -1, cv2.LINE_AA)
     return image
 
 
-def label(image: np.ndarray, text: str) -> np.ndarray:
+def label(image: np.ndarray, text: str, size: float = 0.5) -> np.ndarray:
     """An RGB image with a line of text in its upper left corner."""
-    _write(image, text, 6, 18, 0.5)
+    _write(image, text, 6, round(36 * size), size)
     return image
 
 
@@ -83,10 +86,12 @@ def _write(image: np.ndarray, text: str, x: int, y: int, size: float) -> None:
 
 
 def tile(rows: Sequence[Sequence[np.ndarray]], gap: int = 4) -> np.ndarray:
-    """Images laid out in rows, each in a field as large as the largest, white between them."""
+    """Images laid out in rows, each in a field as large as the largest; white between them, or nothing with opacity."""
     height, width = np.max([image.shape[:2] for row in rows for image in row], axis=0)
     columns = max(len(row) for row in rows)
-    sheet = np.full((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
+    channels = rows[0][0].shape[2]
+    size = (len(rows) * (height + gap) - gap, columns * (width + gap) - gap, channels)
+    sheet = np.full(size, 255 if channels == 3 else 0, np.uint8)
     for r, row in enumerate(rows):
         for c, image in enumerate(row):
             top, left = r * (height + gap), c * (width + gap)

@@ -1,5 +1,7 @@
 """Settings of `score` and `evaluate`."""
 
+from pathlib import Path
+
 from pydantic import Field
 
 from piegraph_cli.dynamics.params import MODEL_NAMES, Labels, PredictionParams
@@ -7,7 +9,13 @@ from piegraph_cli.params import Counts, Params
 
 
 class ScoreParams(Params):
-    """Settings of `score`: none."""
+    """Settings of `score`."""
+
+    later = ("clicks",)
+
+    clicks: Path | None = Field(
+        None, description="folder with a SEQUENCE.csv of spots clicked by hand (default: clicks in the run)"
+    )
 
 
 class EvaluateParams(PredictionParams):

@@ -1,16 +1,18 @@
 """The figures of a simulated recording's perception and tracking against its truth."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from piegraph_cli.evaluation.truth import hand_scores, mask_iou, surface_distance, track_errors
+from piegraph_cli.evaluation.spots import Distance
+from piegraph_cli.evaluation.truth import MILLIMETRE, hand_scores, mask_iou, surface_distance, track_errors
 from piegraph_cli.recording.images import ImageStack
 
 CLOUD_EVERY = 3
 """Every how many frames cloud and masks are scored."""
 
 AT_ENDS = "tracked particles at stroke ends [mm]"
+SPOTS, SPOTS_SURE = "spots clicked by hand [mm]", "of that by clicking alone, up to [mm]"
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -41,3 +43,29 @@ def score_sequence(
     ends = np.flatnonzero((stroke >= 0) & (stroke != np.append(stroke[1:], -1)))
     yield from ((AT_ENDS, errors[end]) for end in ends)
     yield from (("tracked particles, all frames [mm]", error) for error in errors)
+
+
+def spot_scores(found: Sequence[Distance]) -> list[tuple[str, float]]:
+    """Named scores (mm) of spots clicked by hand: each distance, and how much of it clicking alone may make."""
+    return [
+        *((SPOTS, one.metres * MILLIMETRE) for one in found),
+        *((SPOTS_SURE, one.deviation * MILLIMETRE) for one in found),
+    ]
+
+
+def told_spots(found: Sequence[Distance], cameras: int) -> str:
+    """The distances of clicked spots in a line: how many, their median and the worst, and what clicks are good for."""
+    if not found:
+        return "spots clicked by hand: none in two frames, so nothing is known of tracking"
+    worst = max(found, key=lambda one: one.metres)
+    middle, sure = (np.median([getattr(one, name) for one in found]) * MILLIMETRE for name in ("metres", "deviation"))
+    spots, frames = len({one.spot for one in found}), {one.frame for one in found} | {one.first for one in found}
+    return (
+        f"spots clicked by hand: median {middle:.1f} mm off, worst {worst.metres * MILLIMETRE:.1f} mm (spot {worst.spot}, "
+        f"frame {worst.frame}), clicks good to {sure:.1f} mm; {_count(len(found), 'distance')} of {_count(spots, 'spot')} in "
+        f"{_count(len(frames), 'frame')}, {_count(cameras, 'camera')}"
+    )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.evaluation.statistics import bootstrap_grid
+from piegraph_cli.text import Column, Line, Table
 
 METRICS = ("cd", "s", "cd+s", "pd", "pd_truth")
 
@@ -68,9 +69,11 @@ def summarise_scores(scores: Sequence[Mapping[str, np.ndarray]]) -> list[dict[st
 
 
 def as_json(value: Any) -> str:
-    """JSON text of a result, `null` for what is not finite: NaN is not JSON."""
+    """JSON text of a result, arrays as lists, `null` for what is not finite: NaN is not JSON."""
 
     def finite(part: Any) -> Any:
+        if isinstance(part, (np.ndarray, np.generic)):
+            part = part.tolist()
         if isinstance(part, dict):
             return {name: finite(inner) for name, inner in part.items()}
         if isinstance(part, (list, tuple)):
@@ -85,19 +88,22 @@ def interval(of: tuple[float, float, float], sign: str = "") -> str:
     return f"{of[0]:{sign}.2f}" + (f" [{of[1]:{sign}.2f}, {of[2]:{sign}.2f}]" if math.isfinite(of[1]) else "")
 
 
-def table_lines(rows: list[dict[str, Any]], scores: list[dict[str, Any]]) -> list[str]:
-    """The summaries as a table for people."""
-    heads = f"{'PD [cm]':>20s} {'CD [cm]':>8s} {'S [cm2]':>8s} {'CD+S':>8s} {'PD truth [cm]':>14s}"
-    lines = [f"{'H':>2s} {'model':14s} {'windows':>7s} {heads}"]
-    for row in rows:
-        truth = f"{row['pd_truth'][0]:14.2f}" if np.isfinite(row["pd_truth"][0]) else f"{'-':>14s}"
-        lines.append(
-            f"{row['horizon']:2d} {row['model']:14s} {row['windows']:7d} {interval(row['pd']):>20s} {row['cd'][0]:8.2f} "
-            f"{row['s'][0]:8.2f} {row['cd+s'][0]:8.2f} {truth}"
+def table_lines(rows: list[dict[str, Any]], scores: list[dict[str, Any]]) -> list[Line]:
+    """The summaries as tables for people."""
+    heads = [("H", 2), ("model", 14), ("windows", 7), ("PD [cm]", 20), ("CD [cm]", 8), ("S [cm2]", 8), ("CD+S", 8)]
+    columns = [Column(name, width, right=name != "model") for name, width in [*heads, ("PD truth [cm]", 14)]]
+    told = [
+        (
+            *(str(row["horizon"]), row["model"], str(row["windows"]), interval(row["pd"])),
+            *(f"{row[name][0]:.2f}" for name in ("cd", "s", "cd+s")),
+            f"{row['pd_truth'][0]:.2f}" if np.isfinite(row["pd_truth"][0]) else "-",
         )
+        for row in rows
+    ]
+    lines: list[Line] = [Table(columns, told)]
     if scores:
-        lines += ["", f"{'against the truth':40s} {'values':>7s} {'mean':>8s} {'median':>8s} {'p90':>8s}"]
-        lines += [
-            f"{s['score']:40s} {s['values']:7d} {s['mean']:8.3f} {s['median']:8.3f} {s['p90']:8.3f}" for s in scores
-        ]
+        heads = [("against the truth", 40), ("values", 7), ("mean", 8), ("median", 8), ("p90", 8)]
+        columns = [Column(name, width, right=name != "against the truth") for name, width in heads]
+        told = [(s["score"], str(s["values"]), *(f"{s[n]:.3f}" for n in ("mean", "median", "p90"))) for s in scores]
+        lines += ["", Table(columns, told)]
     return lines

@@ -7,17 +7,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from piegraph_cli.evaluation.colors import model_color
 from piegraph_cli.evaluation.trials import Trial, select
 
-COLORS = ("#1f4e9c", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#7f7f7f", "#17becf")
 WIDEST = 0.15
 """Thresholds of success are drawn up to this, metres."""
 
 
 def _models(trials: Sequence[Trial]) -> dict[str, str]:
     """The models with a colour each, in the order of the trials."""
-    names = dict.fromkeys(t.model for t in trials)
-    return {name: COLORS[k % len(COLORS)] for k, name in enumerate(names)}
+    return {name: model_color(name) for name in dict.fromkeys(t.model for t in trials)}
 
 
 def _grid(trials: Sequence[Trial], rows: int, height: float) -> tuple[Figure, dict[str, list[Axes]]]:
@@ -79,7 +78,7 @@ def _deltas(head: str, comparisons: Sequence[dict[str, Any]], of: Callable[[dict
     for comparison in comparisons:
         if comparison["pairs"]:
             delta, low, high = of(comparison)
-            lines.append(f"$\\delta$ = {delta:+.2f} [{low:+.2f}, {high:+.2f}] over {comparison['second']}")
+            lines.append(f"δ = {delta:+.2f} [{low:+.2f}, {high:+.2f}] over {comparison['second']}")
     return "\n".join(lines)
 
 

@@ -1,5 +1,6 @@
 """Predictions over windows of held-out strokes, measured."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,21 @@ from piegraph_cli.evaluation.params import ModelEvaluateParams
 from piegraph_cli.physics.springs import build_springs
 
 
+def rollouts(
+    sequence: dict[str, Any], trained: Trained | None, params: ModelEvaluateParams, longest: int, device: str = "cpu"
+) -> Iterator[tuple[int, np.ndarray]]:
+    """For each horizon up to `longest` strokes: it, and the particles [W, N, 3] (m) predicted at the end of each window.
+
+    All windows advance as one batch: window w starts before stroke w. `sequence` as for `window_metrics`.
+    """
+    strokes = sequence["strokes"].to(device, torch.float32)
+    predict = make_predict(params.label, trained, torch.as_tensor(sequence["rest"], device=device), params)
+    positions = torch.as_tensor(sequence["before"], device=device)
+    for horizon in range(1, min(longest, len(strokes)) + 1):
+        positions = predict(positions[: len(strokes) - horizon + 1], strokes[horizon - 1 :])
+        yield horizon, positions.cpu().numpy()
+
+
 def window_metrics(
     sequence: dict[str, Any],
     true: np.ndarray | None,
@@ -18,28 +34,21 @@ def window_metrics(
     params: ModelEvaluateParams,
     device: str = "cpu",
 ):
-    """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows; all of them advance as one batch.
+    """Rows (horizon, first stroke, CD, S, PD, PD to the truth) of all windows.
 
     `sequence`: rest [N, 3], before and after [S, N, 3] (m), strokes and frames [S, 2], and whether each stroke follows [S] on
     the one before with nothing unknown in between: where one does not, no window goes on. Particles that were not `seen`
     [2, S, N] before the window or after it do not count. `true` [F, N, 3] (m) or None. The model predicts on `device`.
     """
-    count = len(sequence["strokes"])
     edges = build_springs(sequence["rest"], SHAPE_RADIUS).pairs
-    rest = torch.as_tensor(sequence["rest"], device=device)
-    strokes = sequence["strokes"].to(device, torch.float32)
-    predict = make_predict(params.label, trained, rest, params)
-    positions = torch.as_tensor(sequence["before"], device=device)
-    for horizon in range(1, min(max(params.horizons), count) + 1):
-        windows = count - horizon + 1
-        positions = predict(positions[:windows], strokes[horizon - 1 :])
+    for horizon, positions in rollouts(sequence, trained, params, max(params.horizons), device):
         if horizon not in params.horizons:
             continue
-        for window in range(windows):
+        for window, found in enumerate(positions):
             last = window + horizon - 1
             if not sequence["follows"][window + 1 : last + 1].all():
                 continue
-            found, target = positions[window].cpu().numpy(), sequence["after"][last]
+            target = sequence["after"][last]
             known = sequence["seen"][0, window] & sequence["seen"][1, last]
             metrics = _measured(found, target, known, edges)
             if metrics is None:

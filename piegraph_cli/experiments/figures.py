@@ -1,22 +1,20 @@
 """The figures of experiments: errors over horizons and over training data, planning, and what it led to."""
 
 from collections.abc import Iterator
+from itertools import cycle
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from piegraph_cli.evaluation import trial_figures
+from piegraph_cli.evaluation.colors import GOAL, OBJECT, model_color, model_marker
 from piegraph_cli.evaluation.tables import Metrics, summarise
 from piegraph_cli.evaluation.trials import compare_trials
 from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.experiments.results import Results
 from piegraph_cli.experiments.tables import plain_metrics, plain_trials
 from piegraph_cli.workspace.artifact import Artifact
-
-GOAL = "#d62728"
-OBJECT = "#1f4e9c"
 
 
 def draw(params: ExperimentParams, results: Results) -> Iterator[tuple[str, Figure]]:
@@ -39,17 +37,16 @@ def error_grid(metrics: dict[str, Metrics]) -> Figure:
     """PD (top) and CD+S (bottom) over strokes predicted in a row, a column per environment; bands: 95 % intervals."""
     figure = Figure(figsize=(max(3.0 * len(metrics), 5.0), 6.0), layout="constrained")
     grid = figure.subplots(2, len(metrics), squeeze=False)
-    models = dict.fromkeys(model for of in metrics.values() for model in of)
-    colors = {model: colormaps["turbo"]((k + 0.5) / len(models)) for k, model in enumerate(models)}
     for column, (env, of) in zip(grid.T, metrics.items(), strict=True):
         rows = summarise(of)
-        for axes, metric, unit in zip(column, ("pd", "cd+s"), ("cm", "cm and cm$^2$"), strict=True):
+        for axes, metric, unit in zip(column, ("pd", "cd+s"), ("cm", "cm and cm²"), strict=True):
             for model in of:
                 own = [row for row in rows if row["model"] == model]
                 mean, low, high = np.array([row[metric] for row in own]).T
                 horizons = [row["horizon"] for row in own]
-                axes.plot(horizons, mean, "o-", ms=3, color=colors[model], label=model)
-                axes.fill_between(horizons, low, high, color=colors[model], alpha=0.15, lw=0)
+                color = model_color(model)
+                axes.plot(horizons, mean, marker=model_marker(model), ms=3, color=color, label=model)
+                axes.fill_between(horizons, low, high, color=color, alpha=0.15, lw=0)
             axes.set(xticks=horizons, ylabel=f"{metric.upper()} [{unit}]")
         column[0].set_title(env, fontsize=10)
         column[0].set_ylim(bottom=0)
@@ -74,10 +71,11 @@ def interaction_figure(metrics: dict[str, Metrics]) -> Figure:
             if one or name == "piegraph":
                 label = name if one else f"{row['horizon']} strokes ahead"
                 lines.setdefault(label, []).append((count, *row["pd"]))
-        for label, points in lines.items():
+        for (label, points), style in zip(lines.items(), cycle(("-", "--", "-.", ":")), strict=False):
             counts, mean, low, high = np.array(sorted(points)).T
-            axes.plot(counts, mean, "o-", ms=4, label=label)
-            axes.fill_between(counts, low, high, alpha=0.15, lw=0)
+            color = model_color(label if one else "piegraph")
+            axes.plot(counts, mean, style, marker=model_marker(label), ms=4, color=color, label=label)
+            axes.fill_between(counts, low, high, color=color, alpha=0.15, lw=0)
         of_whom = "" if one else " of piegraph"
         axes.set(title=env, xlabel="training sequences", ylabel=f"PD{of_whom} [cm]")
         axes.set_xticks(sorted({count for _, count, _ in rows}))

@@ -11,6 +11,7 @@ import numpy as np
 
 from piegraph_cli.environments.params import SimulateParams, TroubleParams
 from piegraph_cli.errors import DataError
+from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.experiments.kinds import Kind, kinds
 from piegraph_cli.experiments.params import TroublesParams
 from piegraph_cli.files import atomic_file
@@ -137,23 +138,33 @@ def _told(kind: Kind, environment: str, verdict: str, texts: Sequence[str]) -> T
 
 def write_troubles(told: Sequence[Told], folder: Path) -> tuple[dict[str, Any], list[str]]:
     """The table as an object and as lines; `folder`/report has it as a file of results too, with what was said."""
-    rows = []
-    for name, strength in dict.fromkeys((t.kind, t.strength) for t in told):
-        own = [t for t in told if (t.kind, t.strength) == (name, strength)]
-        counts = [sum(t.verdict == verdict for t in own) for verdict in ("bad", "doubtful", "good")]
-        rows.append([name, strength, *counts, sum(t.right for t in own), len(own)])
+    rows = [_row(told, *kind) for kind in dict.fromkeys((t.kind, t.strength) for t in told)]
     wrong = [t for t in told if t.kind != GOOD]
     alarms = [t for t in told if t.kind == GOOD and not t.right]
     missed = [t for t in wrong if not t.right]
     lines = [f"{'trouble':38s} {'strength':14s}  bad  doubtful  good  right"]
-    lines += [f"{r[0]:38s} {r[1]:14s} {r[2]:4d} {r[3]:9d} {r[4]:5d}  {r[5]} of {r[6]}" for r in rows]
+    lines += [
+        f"{r['trouble']:38s} {r['strength']:14s} {r['bad']:4d} {r['doubtful']:9d} {r['good']:5d}  "
+        f"{r['right']} of {r['recordings']}"
+        for r in rows
+    ]
     lines += ["", f"{len(missed)} of {len(wrong)} not caught with their cause; {len(alarms)} false alarms"]
     lines += [f"  {t.kind}, {t.strength}, {t.recording}: {t.verdict}: {t.text}" for t in [*missed, *alarms]]
-    value = {"rows": rows, "missed": len(missed), "wrong": len(wrong), "false alarms": len(alarms)}
-    with atomic_file(folder / "report" / "troubles.txt") as temporary:
-        temporary.write_text("\n".join(lines) + "\n")
-    with atomic_file(folder / "report" / "troubles_told.txt") as temporary:
-        temporary.write_text(
-            "".join(f"{t.kind} | {t.strength} | {t.recording} | {t.verdict} | {t.text}\n" for t in told)
-        )
+    value = {"rows": rows, "missed": len(missed), "wrong": len(wrong), "false_alarms": len(alarms)}
+    said = [f"{t.kind} | {t.strength} | {t.recording} | {t.verdict} | {t.text}" for t in told]
+    for name, text in (
+        ("troubles.txt", "\n".join(lines)),
+        ("troubles.json", as_json(value)),
+        ("troubles_told.txt", "\n".join(said)),
+    ):
+        with atomic_file(folder / "report" / name) as temporary:
+            temporary.write_text(text + "\n")
     return value, lines
+
+
+def _row(told: Sequence[Told], kind: str, strength: str) -> dict[str, Any]:
+    own = [t for t in told if (t.kind, t.strength) == (kind, strength)]
+    counts = {verdict: sum(t.verdict == verdict for t in own) for verdict in ("bad", "doubtful", "good")}
+    return (
+        {"trouble": kind, "strength": strength} | counts | {"right": sum(t.right for t in own), "recordings": len(own)}
+    )

@@ -13,11 +13,12 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.clouds import fuse
-from piegraph_cli.perception.judgement import UNSEEN, check_candidates, check_cloud, check_outline, check_size
+from piegraph_cli.perception.judgement import UNSEEN, check_candidates, check_cloud, check_outline
 from piegraph_cli.perception.object_masks import follow_object, seed_object
 from piegraph_cli.perception.params import FuseParams, SegmentParams
 from piegraph_cli.perception.parts import Part
 from piegraph_cli.perception.seeds import ObjectSeed
+from piegraph_cli.perception.size import check_size
 from piegraph_cli.perception.surroundings import unseen_outline
 from piegraph_cli.physics.particles import Sizes, choose_particles, size_of
 from piegraph_cli.recording.camera import Camera

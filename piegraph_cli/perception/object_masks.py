@@ -47,11 +47,14 @@ def follow_object(
     tips: np.ndarray,
     seed: ObjectSeed,
     over: Callable[[Callable[[int], np.ndarray], Iterable[int]], Iterable[np.ndarray]] = map,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    within: range | None = None,
 ) -> list[np.ndarray]:
     """The object's masks from its seed on: one [F, H, W] bool for each camera.
 
-    Arguments as `seed_object`; `over` is `map` or what does its work. Raises `DataError` for a
-    camera that does not see the object, `MissingError` for a segmenter without weights.
+    Arguments as `seed_object`; `over` is `map` or what does its work, `progress` gives the frames it is given; in frames
+    that are not `within` masks are empty.
+    Raises `DataError` for a camera that does not see the object, `MissingError` for a segmenter without weights.
     """
     network = _network(params) if params.segmenter == "sam" else None
     images, depths = without_others(color, depth, cameras, seed)
@@ -59,10 +62,12 @@ def follow_object(
     def masks_of(c: int) -> np.ndarray:
         given = (images[c], depths[c], cameras[c], hand_px[:, c], workspace, seed.frame, seed.masks[c], params, tips)
         if network is None:
-            return segmentation.segment_sequence(*given)
+            return segmentation.segment_sequence(*given, progress=progress, within=within)
         box = params.prompts.get(cameras[c].name)
         prompt = sam.SamPrompt(box=box) if box else None
-        return sam.segment_sequence(network, *given, key_every=params.sam_every, prompt=prompt)
+        return sam.segment_sequence(
+            network, *given, key_every=params.sam_every, prompt=prompt, progress=progress, within=within
+        )
 
     return list(over(masks_of, range(len(cameras))))
 

@@ -36,11 +36,39 @@ class SegmentParams(Params):
     sam_model: Literal["vit_h", "vit_l", "vit_b", "tiny"] = Field("vit_b", description="SAM model of the checkpoint")
     sam_every: int = Field(10, ge=1, description="frames between SAM key frames; masks are propagated between them")
     prompts: dict[str, tuple[float, float, float, float]] = Field(
-        {}, description="box x0,y0,x1,y1 [px] in the first frame, per camera; other cameras follow by its place"
+        {},
+        description="box x0,y0,x1,y1 [px] in the first frame, per CAMERA, or SEQUENCE/CAMERA for one sequence alone; "
+        "other cameras follow by its place",
     )
     points: dict[str, tuple[float, float]] = Field(
-        {}, description="point x,y [px] on the object in the first frame, per camera; other cameras follow"
+        {},
+        description="point x,y [px] on the object in the first frame, per CAMERA, or SEQUENCE/CAMERA for one sequence "
+        "alone; other cameras follow",
     )
+
+    def sequences(self) -> set[str]:
+        """The sequences that have prompts of their own."""
+        return {name.rpartition("/")[0] for name in (*self.prompts, *self.points)} - {""}
+
+    def of(self, sequence: str) -> "SegmentParams":
+        """The settings of one sequence, prompts per camera: its own ones, where it has any, in place of those for all."""
+        of = sequence if sequence in self.sequences() else ""
+
+        def own(prompts: dict) -> dict:
+            return {name.rpartition("/")[2]: px for name, px in prompts.items() if name.rpartition("/")[0] == of}
+
+        return self.model_copy(update={"prompts": own(self.prompts), "points": own(self.points)})
+
+    def prompted(self, sequence: str, prompts: dict, points: dict) -> "SegmentParams":
+        """These settings with the prompts of one sequence, per camera, in place of its own; of all sequences for ''."""
+
+        def with_own(old: dict, new: dict) -> dict:
+            others = {name: px for name, px in old.items() if name.rpartition("/")[0] != sequence}
+            return others | {f"{sequence}/{camera}" if sequence else camera: px for camera, px in new.items()}
+
+        return self.model_copy(
+            update={"prompts": with_own(self.prompts, prompts), "points": with_own(self.points, points)}
+        )
 
 
 class FuseParams(Params):

@@ -1,6 +1,6 @@
 """Object masks by Segment Anything: the official predictor on key frames, colour and GrabCut in between."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +42,8 @@ def segment_sequence(
     tips: np.ndarray | None = None,
     key_every: int = 10,
     prompt: SamPrompt | None = None,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    within: range | None = None,
 ) -> np.ndarray:
     """Masks [F, H, W] bool of the object in one camera; arguments as in `segmentation.segment_sequence`.
 
@@ -57,9 +59,10 @@ def segment_sequence(
     model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed, lifted)
     masks = np.zeros((len(hand_px), *seed.shape), bool)
     masks[seed_frame] = seed
-    for frames in (range(seed_frame + 1, len(hand_px)), range(seed_frame - 1, -1, -1)):
+    begin, end = (0, len(hand_px)) if within is None else (within.start, within.stop)
+    for frames in (range(seed_frame + 1, end), range(seed_frame - 1, begin - 1, -1)):
         previous, missed = seed, 0
-        for f in frames:
+        for f in progress(frames):
             given = images[f], depths[f], camera, hand_px[f], workspace, previous, model, params
             masks[f] = segment_frame(*given, lifted=lifted[f], missed=missed)
             if (f - seed_frame) % key_every == 0 and masks[f].any():

@@ -1,6 +1,6 @@
 """Object masks without learned weights: colour and height told apart by models of the seed, refined by GrabCut."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,21 +66,25 @@ def segment_sequence(
     seed_mask: np.ndarray,
     params: SegmentParams,
     tips: np.ndarray | None = None,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    within: range | None = None,
 ) -> np.ndarray:
     """Masks [F, H, W] bool of the object in one camera, from its seed [H, W] in `seed_frame` (see `seeds.find_object`).
 
     `images` RGB uint8 [H, W, 3] and `depths` [H, W] in the camera's units (0 = no reading) are indexed by frame, in
     any order; `hand_px` [F, 21, 2] px (NaN where no hand is); `workspace` [3, 2] bounds (m); `tips` [F, 3] the
-    end-effector (m; NaN where unknown), as high as which the object may be lifted. A frame in which the object is
-    hidden has an empty mask. Raises DataError naming the camera where the object is never seen.
+    end-effector (m; NaN where unknown), as high as which the object may be lifted; `progress` gives the frames it is
+    given; `within` says how far it is followed, all the way by default. A frame in which the object is hidden has an
+    empty mask. Raises DataError naming the camera where the object is never seen.
     """
     check_seed(seed_mask, camera, seed_frame)
     lifted = lifted_to(tips, len(hand_px))
     model = learn_object(images, depths, camera, hand_px, workspace, seed_frame, seed_mask, lifted)
     masks = np.zeros((len(hand_px), *seed_mask.shape), bool)
-    for frames in (range(seed_frame, len(hand_px)), range(seed_frame - 1, -1, -1)):
+    first, end = (0, len(hand_px)) if within is None else (within.start, within.stop)
+    for frames in (range(seed_frame, end), range(seed_frame - 1, first - 1, -1)):
         previous, missed = seed_mask if frames.step > 0 else masks[seed_frame], 0
-        for f in frames:
+        for f in progress(frames):
             given = images[f], depths[f], camera, hand_px[f], workspace, previous, model, params
             masks[f] = segment_frame(*given, lifted=lifted[f], missed=missed)
             previous, missed = (masks[f], 0) if masks[f].any() else (previous, missed + 1)

@@ -93,22 +93,30 @@ def tool_of(environment: Any) -> Tool:
 
 
 def plan_once(
-    trained: Trained | None, state: np.ndarray, goal: Goal, params: PlanParams, device: str = "cpu"
+    trained: Trained | None,
+    state: np.ndarray,
+    goal: Goal,
+    params: PlanParams,
+    device: str = "cpu",
+    rest: np.ndarray | None = None,
 ) -> Episode:
     """Plan strokes for a robot that sees the object's particles `state` [N, 3] (m): steps that nobody has carried out.
+
+    `rest` [N, 3] (m) is its rest shape, by default the state.
 
     No steps where the goal is reached already. Raises `DataError` where no stroke is feasible.
     """
     check_inside(state, params, "the object")
-    cost, make_plan = make_planner(trained, state, goal, params, Tool(), [params.seed, 2, 0, 0], device)
+    shape = state if rest is None else rest
+    cost, make_plan = make_planner(trained, shape, goal, params, Tool(), [params.seed, 2, 0, 0], device)
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
         return Episode(state, goal.points, [], start, start, metric(params, goal))
     plan = make_plan(torch.as_tensor(state))
     if plan is None:
-        raise DataError(
-            "no stroke touches the object inside the workspace", hint="widen plan.workspace or move the object"
-        )
+        clear = " and outside the boxes of plan.keep_out" if params.keep_out else ""
+        hint = f"widen plan.workspace{', make the boxes smaller' if params.keep_out else ''} or move the object"
+        raise DataError(f"no stroke touches the object inside the workspace{clear}", hint=hint)
     steps, before, unknown = [], state, np.full_like(state, np.nan)
     for k in range(len(plan.strokes)):
         later = replace(

@@ -52,8 +52,24 @@ class Goal:
         """
         goal = thinned(goal, GOAL_POINTS).astype(np.float32)
         cloud = thinned(cloud, GOAL_POINTS).astype(np.float32)
-        moved = _places(cloud, goal, np.asarray(particles, np.float32))
+        moved = _places(cloud, goal, np.asarray(particles, np.float32), _grain(goal))
         return cls(goal, moved if len(moved) else None)
+
+    @classmethod
+    def at(cls, pose: tuple[float, float, float], rest: np.ndarray, cloud: np.ndarray, particles: np.ndarray) -> "Goal":
+        """The pose x, y (m), yaw (rad) of an object with rest shape `rest` [N, 3] (m): its middle lies at x, y, turned by
+        yaw from how `rest` lies. The object is seen as `cloud` [P, 3] now, with `particles` [N, 3] (m).
+
+        Where the object has its rest shape now, its particles are known in the goal, as in `of_cloud`.
+        """
+        cloud = thinned(cloud, GOAL_POINTS).astype(np.float32)
+        placed = _posed(rest, pose)
+        seen, chosen, own = (_flat(points) for points in (cloud, particles, rest))  # a camera sees no underside
+        there = _places(own, seen, own, chamfer(chosen, seen))
+        motions = [planar_fit(now[:, :2], placed[:, :2]) for now in there]
+        moved = [np.column_stack([moved_in_plane(particles[:, :2], m), particles[:, 2]]) for m in motions]
+        found = np.array(_distinct(moved), np.float32).reshape(-1, *particles.shape)
+        return cls(found[0] if len(found) else placed, found if len(found) else None)
 
 
 def thinned(points: np.ndarray, most: int) -> np.ndarray:
@@ -71,10 +87,28 @@ def move_in_plane(points: np.ndarray, motion: tuple[float, float, float]) -> np.
     return moved.astype(np.float32)
 
 
-def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray) -> np.ndarray:
-    """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not."""
+def _posed(rest: np.ndarray, pose: tuple[float, float, float]) -> np.ndarray:
+    """A rest shape [N, 3] (m) turned by a pose's yaw (rad) about its middle, which then lies at its x, y (m)."""
+    planar = moved_in_plane(rest[:, :2] - rest[:, :2].mean(0), np.array(pose))
+    return np.column_stack([planar, rest[:, 2]]).astype(np.float32)
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    """Points [N, 3] (m) as seen from above, at z = 0."""
+    return (points * [1, 1, 0]).astype(np.float32)
+
+
+def _grain(goal: np.ndarray) -> float:
+    """Chamfer distance (m) of the halves of a cloud [G, 3]: how near two clouds of one thing can be."""
     half = np.random.default_rng(1).permutation(len(goal))
-    grain = chamfer(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
+    return chamfer(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
+
+
+def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: float) -> np.ndarray:
+    """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not.
+
+    `grain` (m) is the chamfer distance of clouds that lie on each other.
+    """
     few, there = thinned(cloud, COARSE), thinned(goal, COARSE)
     tries = []
     for yaw in np.arange(YAWS) * (2 * np.pi / YAWS):

@@ -10,17 +10,8 @@ from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
-from piegraph_cli.physics.particles import choose_particles
-from piegraph_cli.planning.episode import Episode, plan_once
-from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
-from piegraph_cli.recording.ground import level, moved
-
-STATE_POINTS = 20_000
-"""A cloud of more is thinned to these before particles are chosen among them."""
-
-PARTICLES = 50
-"""Of an object, for models that are not trained."""
+from piegraph_cli.planning.question import PARTICLES, Answer, answer, finite
 
 
 @dataclass(frozen=True)
@@ -43,7 +34,7 @@ class Model:
 
     def of_object(self, rest: Any) -> Predict:
         """The prediction for one object at rest [N, 3] (m), on tensors: (positions [B, N, 3], strokes [B]) -> [B, N, 3]."""
-        return make_predict(self.label, self.trained, torch.as_tensor(_points(rest, "rest")), self.settings)
+        return make_predict(self.label, self.trained, torch.as_tensor(finite(rest, "rest")), self.settings)
 
     def predict(self, positions: Any, strokes: Strokes, *, rest: Any = None) -> np.ndarray:
         """Particles [B, N, 3] float32 (m) after one stroke each, from positions [B, N, 3] or, for all strokes, [N, 3] (m).
@@ -57,45 +48,33 @@ class Model:
             raise DataError(
                 f"positions {list(now.shape)} for {len(strokes)} strokes", "predict", "give [B, N, 3] or [N, 3]"
             )
-        _points(now.reshape(-1, now.shape[-1]), "positions")
+        finite(now.reshape(-1, now.shape[-1]), "positions")
         predict = self.of_object(now[0] if rest is None else rest)
         return predict(torch.as_tensor(now), strokes.to(torch.float32)).numpy()
 
     def plan(
-        self, state: Any, *, goal: Any = None, goal_pose: Any = None, corresponds: bool = False, **settings: Any
-    ) -> Episode:
+        self,
+        state: Any,
+        *,
+        goal: Any = None,
+        goal_pose: Any = None,
+        goal_at: Any = None,
+        rest: Any = None,
+        corresponds: bool = False,
+        **settings: Any,
+    ) -> Answer:
         """The next strokes for an object whose cloud or particles are `state` [P, 3] (m), P at least `particles`.
 
-        The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, or a
-        motion of the object (DX, DY (m), DYAW (rad)). Both lie in the world of the table that the settings name; what is
-        planned has the table at z = 0. Settings are those of `piegraph plan`. No strokes where the goal is
-        reached already. Raises `UsageError` for settings, and `DataError` for states and goals, that cannot be used.
+        The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, a
+        motion of the object from where it is now (DX, DY (m), DYAW (rad)), or a pose in the world (X, Y (m), YAW (rad)):
+        where the middle of the trained rest shape, `trained.rest`, shall be, and how far it is turned from how that lies.
+        With `rest` [N, 3] (m), its rest shape, the state are its particles in the same order, as a tracker follows them.
+        State and goal lie in the world of the table that the settings name; what is planned has the table at z = 0.
+        Settings are those of `piegraph plan`. No strokes where the goal is reached already. Raises `UsageError` for settings,
+        and `DataError` for states and goals, that cannot be used.
         """
-        values = self.settings.model_dump() | {"model": self.label, "goal_pose": goal_pose} | settings
-        params = validated(PlanParams, values, "plan", "Model.plan", "piegraph plan --help")
-        T = level(params.table or (0, 0, 0))
-        cloud = moved(_points(state, "state"), T)
-        if len(cloud) < self.particles:
-            raise DataError(
-                f"{len(cloud)} points, the model needs {self.particles} or more", "state", "give the whole cloud"
-            )
-        seen = choose_particles(thinned(cloud, STATE_POINTS), self.particles).astype(np.float32)
-        if (goal is None) == (goal_pose is None):
-            raise DataError("one goal is needed", "plan", "give goal or goal_pose")
-        if params.goal_pose is not None:
-            target = Goal.of_particles(move_in_plane(seen, params.goal_pose))
-        elif corresponds:
-            target = Goal.of_particles(moved(_points(goal, "goal"), T))
-        else:
-            target = Goal.of_cloud(moved(_points(goal, "goal"), T), cloud, seen)
-        return plan_once(self.trained, seen, target, params, self.device)
-
-
-def _points(points: Any, what: str) -> np.ndarray:
-    """Points [P, 3] float32, finite."""
-    array = np.array(points, np.float32)  # a copy: what is read-only is no tensor
-    if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
-        raise DataError(
-            f"not finite points [P, 3] but an array {list(array.shape)}", what, "give metres in the world frame"
+        values = (
+            self.settings.model_dump() | {"model": self.label, "goal_pose": goal_pose, "goal_at": goal_at} | settings
         )
-    return array
+        params = validated(PlanParams, values, "plan", "Model.plan", "piegraph plan --help")
+        return answer(self.trained, params, state, goal, rest=rest, corresponds=corresponds, device=self.device)

@@ -1,7 +1,8 @@
 """Settings of `plan` and `trials`."""
 
+import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -13,26 +14,51 @@ from piegraph_cli.environments.params import (
     Environments,
     EnvironmentSettings,
 )
-from piegraph_cli.params import Box, Modes, Params, Pose2, Table, Thresholds, split_commas
+from piegraph_cli.params import Box, Boxes, Modes, Params, Pose2, Table, Thresholds, split_commas
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
 
 
-def _file_and_frame(text: str) -> tuple[Path, int | None]:
-    file, colon, frame = text.rpartition(":")
-    return (Path(file), int(frame)) if colon and frame.lstrip("-").isdigit() else (Path(text), None)
+class Place(NamedTuple):
+    """Where points are: a file or folder, which of its frames, and which array of an .npz file."""
+
+    file: Path
+    frame: int | None = None
+    key: str | None = None
+
+    @classmethod
+    def of(cls, text: str) -> "Place":
+        """From FILE, FILE:FRAME, FILE.npz:KEY or FILE.npz:KEY:FRAME."""
+        file, colon, frame = text.rpartition(":")
+        numbered = bool(colon) and frame.lstrip("-").isdigit()
+        file = file if numbered else text
+        keyed = re.fullmatch(r"(.+\.npz):([^:/]+)", file)
+        file, key = keyed.groups() if keyed else (file, None)
+        return cls(Path(file), int(frame) if numbered else None, key)
+
+    @property
+    def rest(self) -> str:
+        """What stands behind the file's name."""
+        return "".join(f":{part}" for part in (self.key, self.frame) if part is not None)
 
 
 class PlanParams(PredictionParams, EnvironmentParams):
     """Settings of `plan`."""
 
-    query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose")
+    query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose", "goal_at")
     """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
+
+    later: ClassVar[tuple[str, ...]] = ("goal_at", "keep_out", "approach_height", "retreat", "speed")
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
-    goal: str | None = Field(None, description="goal cloud FILE[:FRAME] (.ply, .npz, .h5)")
-    goal_pose: Pose2 | None = Field(None, description="goal as a motion of the object: DX,DY [m],DYAW [rad]")
+    goal: str | None = Field(None, description="goal cloud FILE[:FRAME] (.ply, .npz, .h5), of an .npz FILE:KEY too")
+    goal_pose: Pose2 | None = Field(
+        None, description="goal as a motion of the object from where it is now: DX,DY [m],DYAW [rad]"
+    )
+    goal_at: Pose2 | None = Field(
+        None, description="goal as a pose in the world, of the trained object's rest shape: X,Y [m],YAW [rad]"
+    )
     table: Table | None = Field(
         None,
         description="plane of the table in the world of --state and --goal: HEIGHT [m], or HEIGHT,SLOPE_X,SLOPE_Y "
@@ -74,6 +100,12 @@ class PlanParams(PredictionParams, EnvironmentParams):
     workspace: Box = Field(
         (-0.45, 0.45, -0.45, 0.45, -0.02, 0.35), description="strokes stay inside: xmin,xmax,ymin,ymax,zmin,zmax [m]"
     )
+    keep_out: Boxes = Field(
+        (), description="boxes that the tool keeps out of: xmin,xmax,ymin,ymax,zmin,zmax;... [m], as --workspace"
+    )
+    approach_height: float = Field(0.1, gt=0, description="height above the table at which the tool comes and goes [m]")
+    retreat: float = Field(0.02, ge=0, description="how far a push goes back along itself before the tool rises [m]")
+    speed: float = Field(0.1, gt=0, description="of the tool, all along its path [m/s]")
     seed: int = Field(0, ge=0, description="seed of starts, goals and candidates")
 
     @model_validator(mode="after")
@@ -82,18 +114,18 @@ class PlanParams(PredictionParams, EnvironmentParams):
             raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
         return self
 
-    def goal_file(self) -> tuple[Path, int | None]:
-        """The goal's file and frame, from FILE or FILE:FRAME."""
+    def goal_place(self) -> Place:
+        """The goal's file, frame and array."""
         assert self.goal is not None
-        return _file_and_frame(self.goal)
+        return Place.of(self.goal)
 
-    def state_place(self) -> tuple[Path, int | None]:
-        """The file or folder of the state, and the frame, from PLACE or PLACE:FRAME."""
+    def state_place(self) -> Place:
+        """The file or folder of the state, its frame and array."""
         assert self.state is not None
-        return _file_and_frame(str(self.state))
+        return Place.of(str(self.state))
 
-    def _framed(self) -> dict[str, tuple[Path, int | None]]:
-        goal = {"goal": self.goal_file()} if self.goal else {}
+    def _placed(self) -> dict[str, Place]:
+        goal = {"goal": self.goal_place()} if self.goal else {}
         return goal | ({"state": self.state_place()} if self.state else {})
 
     def content(self) -> dict[str, Any]:
@@ -101,19 +133,20 @@ class PlanParams(PredictionParams, EnvironmentParams):
 
         Without how a plan is told; a table at z = 0 and no file with the robot are left out.
         """
-        frames = {f"{name}_frame": frame for name, (_, frame) in self._framed().items() if frame is not None}
+        placed = self._placed().items()
+        frames: dict[str, Any] = {f"{name}_frame": place.frame for name, place in placed if place.frame is not None}
+        frames |= {f"{name}_key": place.key for name, place in placed if place.key is not None}
         unsaid = {"frame"} | ({"table"} if not any(self.table or ()) else set()) | ({"cameras"} - {*self.files()})
         return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 
     def files(self) -> dict[str, Path]:
-        """As for all settings, and the goal's file; without frames."""
-        return super().files() | {name: file for name, (file, _) in self._framed().items()}
+        """As for all settings, and the goal's file; without frames and arrays."""
+        return super().files() | {name: place.file for name, place in self._placed().items()}
 
     def placed(self, base: Path) -> dict[str, str]:
-        """As for all settings; a frame stays behind its file."""
-        places, framed = super().placed(base), self._framed()
-        frames = {name: f"{places[name]}:{frame}" for name, (_, frame) in framed.items() if frame is not None}
-        return places | frames
+        """As for all settings; a frame and an array stay behind their file."""
+        places = super().placed(base)
+        return places | {name: places[name] + place.rest for name, place in self._placed().items()}
 
 
 class TrialsParams(EnvironmentParams):

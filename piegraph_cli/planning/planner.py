@@ -53,8 +53,9 @@ def make_planner(
     if params.planner == "greedy":
         if PICK not in modes or goal.particles is None:
             raise UsageError("the greedy planner picks, and needs to know which particle belongs where", "plan.planner")
-        places = torch.as_tensor(goal.particles[0])
-        return cost, lambda positions: put_worst_right(positions, places, cost)
+        places, radius = torch.as_tensor(goal.particles[0]), pusher_radius(params, tool)
+        picks = stroke_space(torch.as_tensor(state), params, (PICK,), radius)
+        return cost, lambda positions: put_worst_right(positions, places, cost, picks)
     rest = torch.as_tensor(state, device=device)
     predict = make_predict(params.model, trained, rest, params)
     space = stroke_space(rest, params, modes, pusher_radius(params, tool))
@@ -112,6 +113,8 @@ def stroke_space(state: torch.Tensor, params: PlanParams, modes: tuple[int, ...]
         radius,
         params.margin,
         params.workspace,
+        params.retreat,
+        params.keep_out,
     )
 
 

@@ -8,7 +8,9 @@ from typing import Any
 import torch
 
 from piegraph_cli.dynamics.stroke import Strokes
+from piegraph_cli.kernels.lanes import in_parts
 from piegraph_cli.params import PICK, PUSH
+from piegraph_cli.planning.path import hits, tool_boxes
 
 CLEARANCE = 0.008
 """Metres between the pusher's start and its first contact."""
@@ -20,8 +22,14 @@ two, where models promise centimetres, and planning then repeats a stroke that d
 NEIGHBORS = 8
 """Particles joined to each one to fill the gaps between them."""
 
+TINY = torch.finfo(torch.float32).tiny
+"""In place of zero under a root that nobody asks for: PyTorch takes four times as long for the root of zero."""
+
 SHORTEST = 1e-6
 """Metres; below it a carry has no direction and gets that of x."""
+
+PART = 64
+"""Candidates whose contacts a core of a CPU looks for at a time, so that their points stay in its cache."""
 
 NUMBERS = 5
 """Of a proposal: the mode, then of a push heading [rad], lateral offset as a share of the object's half width (-1 to 1),
@@ -48,6 +56,10 @@ class StrokeSpace:
     """How far the object reaches beyond its particles, metres."""
     workspace: tuple[float, ...]
     """xmin, xmax, ymin, ymax, ... [m]: a stroke's ends stay inside."""
+    retreat: float = 0.0
+    """How far a push goes back along itself before the tool rises, metres."""
+    keep_out: tuple[tuple[float, ...], ...] = ()
+    """xmin, xmax, ymin, ymax, zmin, zmax [m]: boxes that the tool does not enter."""
 
     @cached_property
     def _bounds(self) -> dict[int, tuple[torch.Tensor, torch.Tensor]]:
@@ -136,7 +148,7 @@ class StrokeSpace:
     def strokes(self, positions: torch.Tensor, proposals: torch.Tensor) -> tuple[Strokes, torch.Tensor]:
         """Strokes [B] on positions [B, N, 3] (m), and whether each is feasible [B].
 
-        Infeasible: a push that passes by or grazes, see `DEPTH`, or an end outside the workspace.
+        Infeasible: a push that passes by or grazes, see `DEPTH`, and what leaves the workspace or enters a box.
         """
         mode, ends = proposals[:, 0], proposals.new_zeros(2, len(proposals), 2)
         start, end, feasible = *ends, ends[0, :, 0] > 0
@@ -148,7 +160,22 @@ class StrokeSpace:
                 chosen = positions if here.all() else positions[here]
                 start[here], end[here], feasible[here] = make(chosen, proposals[here, 1:])
         held = torch.zeros(len(mode), 2, dtype=torch.bool, device=mode.device)
-        return Strokes(start, end, mode.long(), held), feasible & self._inside(torch.stack([start, end]))
+        return Strokes(start, end, mode.long(), held), feasible & self.clear(start, end, mode)
+
+    def clear(self, start: torch.Tensor, end: torch.Tensor, mode: torch.Tensor) -> torch.Tensor:
+        """Whether the tool on the whole path of strokes from start to end [B, 2] (m) stays where it may go: [B]."""
+        inside = self._inside(torch.stack([start, end]))
+        if not self.keep_out and self.retreat <= self.min_length:
+            return inside  # what goes back no further than it came stays between the ends
+        along = end - start
+        beyond = (self.retreat / along.norm(dim=-1).clamp_min(SHORTEST) - 1).clamp_min(0) * (mode == PUSH)
+        begin = start - along * beyond[:, None]
+        inside = inside & self._inside(torch.stack([begin, end]))
+        return inside & ~hits(begin, end, mode == PICK, self._boxes) if self.keep_out else inside
+
+    @cached_property
+    def _boxes(self) -> torch.Tensor:
+        return tool_boxes(self.keep_out, self.pusher_radius).to(self.edges.device)
 
     def _pushes(
         self, positions: torch.Tensor, numbers: torch.Tensor
@@ -160,13 +187,18 @@ class StrokeSpace:
         one_state = positions.stride(0) == 0  # as in the first step of a horizon
         planar = self._filled(positions[:1, :, :2] if one_state else positions[..., :2])
         centre = planar.mean(1)
-        x, y = (planar - centre[:, None]).unbind(-1)
-        depth = x * along[:, :1] + y * along[:, 1:]
-        side = x * across[:, :1] + y * across[:, 1:]
-        middle, half = (side.amax(1) + side.amin(1)) / 2, (side.amax(1) - side.amin(1)) / 2
-        offset = middle + share * half
-        apart = (side - offset[:, None]).square()
-        contact, into = _first_contacts(depth, apart, self._reaches)
+        x, y = ((planar - centre[:, None])[..., axis].contiguous() for axis in (0, 1))
+
+        def meet(part: slice) -> tuple[torch.Tensor, torch.Tensor]:
+            here = slice(None) if one_state else part
+            depth = x[here] * along[part, :1] + y[here] * along[part, 1:]
+            side = x[here] * across[part, :1] + y[here] * across[part, 1:]
+            middle, half = (side.amax(1) + side.amin(1)) / 2, (side.amax(1) - side.amin(1)) / 2
+            offset = middle + share[part] * half
+            return offset, _first_contacts(depth, side.sub_(offset[:, None]).square_(), self._reaches)
+
+        parts = in_parts(meet, len(numbers), PART if numbers.device.type == "cpu" else len(numbers))
+        offset, (contact, into) = (torch.cat(found, -1) for found in zip(*parts, strict=True))
         first = contact.nan_to_num(posinf=0.0) - CLEARANCE
         start = centre + along * first[:, None] + across * offset[:, None]
         return start, start + along * length[:, None], into < first + length
@@ -208,7 +240,8 @@ def _first_contacts(depth: torch.Tensor, apart: torch.Tensor, reaches: torch.Ten
     """How deep along its heading a disc's centre is when it meets a point of depth [B, M] (m) and squared distance to the
     side [B, M] (m2), for R squared reaches of the disc (m2): [R, B], infinite if it meets none."""
     reach = reaches[:, None, None] - apart
-    return torch.where(reach > 0, depth - reach.clamp(min=0).sqrt(), torch.inf).amin(-1)
+    met = depth - reach.clamp(min=TINY).sqrt_()
+    return met.masked_fill_(reach <= 0, torch.inf).amin(-1)
 
 
 def _wrap(angle: torch.Tensor) -> torch.Tensor:

@@ -51,13 +51,14 @@ Frames = list[np.ndarray] | np.ndarray | Clouds
 Reader = Callable[[Path], Frames]
 
 
-def read_points(path: Path, frame: int | None, more: Mapping[str, Reader]) -> np.ndarray:
+def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: str | None = None) -> np.ndarray:
     """Points [P, 3] float32 (m, world) of a .ply or .npz file, or of a kind that a reader in `more` knows by its suffix.
 
-    Of several frames the given one, else the last. Raises `DataError` for what is no regular file, is cut off, holds more
+    Of several frames the given one, else the last; of an .npz the array called `key`, else the first. Raises `DataError`
+    for what is no regular file, is cut off, holds more
     than its header says, contradicts itself, or has no points or points that are not finite.
     """
-    readers: dict[str, Reader] = {".ply": _vertices, ".npz": _read_npz, **more}
+    readers: dict[str, Reader] = {".ply": _vertices, ".npz": lambda file: _read_npz(file, key), **more}
     names = ", ".join(readers)
     if not path.is_file():
         message = "is not a regular file" if os.path.lexists(path) else "no such file"
@@ -104,19 +105,23 @@ def _vertices(path: Path) -> Frames:
     return [read_ply(path, check_size(path))]
 
 
-def _read_npz(path: Path) -> Frames:
-    """The first array of an .npz file: [P, 3], with integer `offsets` [F + 1] several clouds, or [F, P, 3]."""
+def _read_npz(path: Path, key: str | None = None) -> Frames:
+    """An array of an .npz file, the first by default: [P, 3], with integer `offsets` [F + 1] several clouds, or [F, P, 3]."""
     check_size(path)
     try:
         with zipfile.ZipFile(path) as file:
             arrays = _npz_headers(file, path)
-            name = next(iter(arrays))
+            name = next(iter(arrays)) if key is None else key
+            if name not in arrays:
+                raise DataError(f"has no array {name}", str(path), f"it has {', '.join(list(arrays)[:8])}")
             shape, kind = arrays[name].shape, arrays[name].dtype.kind
             if kind not in "fiu" or len(shape) not in (2, 3) or shape[-1] != 3:
+                which = "first array," if key is None else "array"
                 message = (
-                    f"its first array, {name}, is {arrays[name].dtype} {list(shape)}, not points [P, 3] or [F, P, 3]"
+                    f"its {which} {name}{',' if key is None else ''} is {arrays[name].dtype} {list(shape)}, not points"
                 )
-                raise DataError(message, str(path), "write the points as the first array")
+                hint = "write the points as the first array, or name theirs: FILE:KEY"
+                raise DataError(f"{message} [P, 3] or [F, P, 3]", str(path), hint)
             points = _npz_array(file, name)
             offsets = _npz_array(file, "offsets") if "offsets" in arrays else None
     except DataError:

@@ -1,1 +1,1 @@
-"""Pictures of every stage of a run."""
+"""The report of a run, one page in one file."""

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.dynamics.params import DatasetParams
 from piegraph_cli.errors import DataError
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -48,10 +49,13 @@ def run(inputs: dict[str, Any], params: DatasetParams, context: Context) -> Outp
     chosen = chosen_sequences(list(tracks), params)
     arrays, found = build_dataset({name: tracks[name] for name in chosen}, params)
     split = ", ".join(f"{int((arrays['sequence_split'] == number).sum())} {part}" for part, number in PARTS.items())
-    quality = [f"{len(arrays['strokes'])} strokes, {len(arrays['pairs'])} pairs", f"sequences: {split}"]
+    quality = [
+        f"{counted(len(arrays['strokes']), 'stroke')}, {counted(len(arrays['pairs']), 'pair')}",
+        f"sequences: {split}",
+    ]
     left, warnings = _left_out(found)
     if len(chosen) < len(tracks):
-        quality.append(f"{len(tracks) - len(chosen)} sequences in no part of the split")
+        quality.append(f"{counted(len(tracks) - len(chosen), 'sequence')} in no part of the split")
     return Output(arrays, "; ".join(quality + left), warnings)
 
 
@@ -76,7 +80,7 @@ def _left_out(found: "Mapping[str, Found]") -> tuple[list[str], list[str]]:
         frames, strokes, pairs = (
             sum(getattr(of, what) for of in unseen.values()) for what in ("unseen", "strokes_lost", "pairs_lost")
         )
-        quality.append(f"left out, object not seen: {strokes} strokes, {pairs} pairs")
+        quality.append(f"left out, object not seen: {counted(strokes, 'stroke')}, {counted(pairs, 'pair')}")
         where = ", ".join(f"{name} ({of.unseen} frames)" for name, of in unseen.items())
         warnings.append(
             f"{frames} frames see too little of the object or are not trusted, so {strokes} strokes and {pairs} pairs are "

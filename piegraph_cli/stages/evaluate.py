@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.params import EvaluateParams, ModelEvaluateParams
 from piegraph_cli.stages import score, train
-from piegraph_cli.workspace.call import Call
+from piegraph_cli.text import counted
+from piegraph_cli.workspace.call import Call, Told
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def _settings(run: "Run", unit: str) -> ModelEvaluateParams:
 def _inputs(run: "Run", unit: Unit) -> Inputs:
     """The dataset, the trained model where one is used, and the scores that there are: a real recording has none."""
     model = train.trained_name(str(unit))
-    scored = [name for name in run.made("scores") if run.fresh(score.STAGE, name)]
+    scored = [name for name in run.made("scores") if run.fresh(score.STAGE, name) and score.told_by_truth(run, name)]
     return {"dataset": None} | ({"model": model} if model else {}) | ({"scores": scored} if scored else {})
 
 
@@ -64,7 +65,7 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
     data, trained = inputs["dataset"], read_model(inputs["model"]) if "model" in inputs else None
     names = data.texts("sequence_name")
     rows: dict[str, list] = {name: [] for name in COLUMNS}
-    for index in context.progress(np.flatnonzero(data["sequence_split"] == TEST), "evaluate"):
+    for index in context.progress(np.flatnonzero(data["sequence_split"] == TEST), "sequences"):
         sequence = read_sequence(data, int(index))
         true = _true_positions(inputs, names[index])
         for horizon, *values in window_metrics(sequence, true, trained, params, choose_device(context.device)):
@@ -99,7 +100,7 @@ def read_metrics(run: "Run") -> tuple[dict[str, list["Artifact"]], list["Artifac
     return metrics, [read_artifact(path, "scores") for path in paths]
 
 
-def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
+def describe(run: "Run") -> Told:
     """A run's metrics and scores as one object and as lines for people."""
     from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
 
@@ -116,7 +117,7 @@ def _quality(arrays: dict[str, "np.ndarray"], params: ModelEvaluateParams) -> st
 
     means = {h: arrays["pd"][arrays["horizon"] == h].mean() for h in params.horizons if h in arrays["horizon"]}
     parts = [f"H={h} {mean:.2f}" for h, mean in means.items()]
-    return f"PD [cm] {', '.join(parts)} on {len(np.unique(arrays['sequence']))} held-out sequences"
+    return f"PD [cm] {', '.join(parts)} on {counted(len(np.unique(arrays['sequence'])), 'held-out sequence')}"
 
 
 def _warnings(arrays: dict[str, "np.ndarray"], params: ModelEvaluateParams) -> list[str]:

@@ -30,7 +30,7 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     mask = ImageStack(masks["mask"], masks["mask_offsets"], len(cameras), "mask")
     every = range(len(cameras))
     clouds = []
-    for f in context.progress(range(len(frames["time"])), "fuse"):
+    for f in context.progress(range(len(frames["time"])), "frames"):
         images = [mask.mask(f, c) for c in every], [depth.depth(f, c) for c in every]
         clouds.append(fuse(*images, cameras, workspace, params.voxel_size))
     sizes = np.array([len(cloud) for cloud in clouds])

@@ -46,8 +46,8 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     model = params.hand_model or cached_weights("hand-landmarker")
     images = [color.of_camera(c) for c in range(len(cameras))]
     hands = 2 if _second_hand(images, time, model) else 1
-    bars = [context.progress(images[c], f"hands {camera.name}", len(time)) for c, camera in enumerate(cameras)]
-    landmarks = np.stack([detect_hands(bar, time, model, hands)[0] for bar in bars], axis=1)
+    counted = context.counting(len(cameras) * len(time), "images")
+    landmarks = np.stack([detect_hands(counted(of), time, model, hands)[0] for of in images], axis=1)
     if not np.isfinite(landmarks).any():
         raise no_hand(frames, params)
     each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.params import IngestParams, SequenceParams
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Option, options_of
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
@@ -143,10 +144,10 @@ def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Out
     folder = params.recording / params.sequence
     if not params.recording.exists():
         raise DataError("the recording is not there any more", str(params.recording), f"put it back, or {NEW_PLACE}")
-    arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "ingest"))
+    arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "frames"))
     checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]
-    quality = f"{len(time)} frames, {len(cameras)} cameras, {time[-1] - time[0]:.1f} s"
+    quality = f"{counted(len(time), 'frame')}, {counted(len(cameras), 'camera')}, {time[-1] - time[0]:.1f} s"
     if any(params.table):
         T_table_world = level(params.table)
         arrays["T_world_camera"] = T_table_world @ arrays["T_world_camera"]

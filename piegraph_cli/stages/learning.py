@@ -11,6 +11,7 @@ from piegraph_cli.dynamics.params import LEARNED
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, validated
+from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.workspace.artifact import Artifact
 
 
@@ -61,7 +62,8 @@ def read_model(model: Artifact) -> Trained:
         raise DataError(f"weights do not fit: {reason}", str(model.path), "piegraph train --force") from None
     modes = tuple(int(mode) for mode in model["modes"])
     network = network.eval().requires_grad_(False)
-    return Trained(network, settings, float(model["pace"]), modes, int(model["particles"]))
+    sizes = Sizes.of_array(model["size"])
+    return Trained(network, settings, float(model["pace"]), modes, int(model["particles"]), model["rest"], sizes)
 
 
 def read_sequence(data: Artifact, index: int) -> dict[str, Any]:

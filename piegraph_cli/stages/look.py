@@ -11,7 +11,7 @@ import numpy as np
 from piegraph_cli.errors import DataError, InputError, UsageError
 from piegraph_cli.params import validated
 from piegraph_cli.perception.judgement import JUDGED
-from piegraph_cli.perception.look import LookSettings
+from piegraph_cli.perception.look import Look, LookSettings
 from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.recording.film import Film, Scene
 from piegraph_cli.recording.folders import layout_of, sequences_in
@@ -69,6 +69,35 @@ def _sizes(run: Run) -> Sizes | None:
             continue
         states += list(positions[:: max(1, len(positions) // STATES)])
     return Sizes.of(states) if states and len(states[0]) > 1 else None
+
+
+def look_value(seen: Look, source: str) -> tuple[dict[str, Any], list[str], DataError | None]:
+    """What was seen, for programs; what is doubtful in it, in words; and what makes it useless, if anything does."""
+    findings = [
+        {"check": f.name, "verdict": f.checks[0].verdict, "cameras": f.cameras, "text": f.text, "try": f.remedy}
+        for f in seen.findings
+    ]
+    checks = [
+        {"check": c.name, "cameras": list(c.cameras), "figure": c.figure, "unit": c.unit, "verdict": c.verdict}
+        for c in seen.checks
+    ]
+    doubts = [f for f in seen.findings if f.name in seen.accepted or f.checks[0].verdict != "bad"]
+    error = None
+    try:
+        seen.require()
+    except DataError as useless:
+        error = DataError(useless.message, source, useless.hint)
+    value = {
+        "verdict": seen.verdict,
+        "findings": findings,
+        "checks": checks,
+        "points": len(seen.cloud),
+        "particles": None if seen.verdict == "bad" else seen.chosen.tolist(),
+        "seconds": seen.seconds,
+        "frame": "world",
+        "units": "m",
+    }
+    return value, [f"{f.name}: {f.text}" for f in doubts], error
 
 
 def read_scene(source: Path | str, layout: str = "auto") -> Scene:

@@ -19,12 +19,19 @@ def load_model(source: Path | str, label: str | None = None, *, seed: int | None
     A file may come from another computer: it is one of RUN/model, or of `save_model`, which keeps the settings to plan with
     too. In a run these are its recipe's. Raises `DataError` where there is no such model.
     """
+    return find_model(source, label, seed=seed)[0]
+
+
+def find_model(
+    source: Path | str, label: str | None = None, *, seed: int | None = None
+) -> tuple[Model, Artifact | None]:
+    """As `load_model`, with the artifact that holds what was learned; None where nothing is."""
     set_up_torch()
     path = Path(source)
     if path.is_dir():
         label = label or "piegraph"
         artifact, plan = _model_of_run(path, label, seed)
-        return Model(label, read_model(artifact) if artifact else None, plan)
+        return Model(label, read_model(artifact) if artifact else None, plan), artifact
     artifact = read_artifact(path, "model", foreign=True)
     own = str(artifact.params.get("label"))
     if label is not None and trained_label(label) != own:
@@ -36,7 +43,7 @@ def load_model(source: Path | str, label: str | None = None, *, seed: int | None
         plan = validated(PlanParams, artifact.params.get("plan", {}), "plan", str(path), "another model file")
     except UsageError as error:
         raise DataError(error.message, error.where, error.hint) from None
-    return Model(label or own, trained, plan)
+    return Model(label or own, trained, plan), artifact
 
 
 def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, seed: int | None = None) -> None:

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import mode_word
-from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.errors import DataError, UsageError, command_line
+from piegraph_cli.planning.params import Place, PlanParams
 from piegraph_cli.stages import train
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from piegraph_cli.planning.episode import Episode
-    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
+    from piegraph_cli.planning.question import Answer
     from piegraph_cli.workspace.run import Run
 
 
@@ -46,8 +46,6 @@ def _settings(run: "Run", unit: Unit) -> PlanParams:
 
 SAME = 1e-6
 """Metres, and parts of a rotation, within which the robot stands where it stood in another recording."""
-HIGH = 0.05
-"""Metres above the table at which nothing lies on it."""
 
 STAGE = Stage(
     "plan",
@@ -55,7 +53,7 @@ STAGE = Stage(
     ("model",),
     "plan",
     PlanParams,
-    version=6,
+    version=7,
     run="piegraph_cli.stages.plan:run",
     unit="run",
     on_demand=True,
@@ -63,7 +61,7 @@ STAGE = Stage(
     settings=_settings,
     inputs=_inputs,
     call=Call(
-        first=("env", "state", "goal", "goal_pose", "model", "horizon", "samples", "strokes", "episodes"),
+        first=("env", "state", "goal", "goal_pose", "goal_at", "model", "horizon", "samples", "strokes", "episodes"),
         remembers=False,  # each question stands for itself: an old goal must not move a robot
         describe="piegraph_cli.stages.plan:describe",
         out=True,
@@ -73,43 +71,57 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     """Plan in `--env`, or once from `--state`."""
-    from piegraph_cli.planning.episode import play, tool_of
-    from piegraph_cli.planning.goals import Goal
-    from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.planner import tool_warnings
-    from piegraph_cli.process import choose_device, set_up_torch
-    from piegraph_cli.stages.learning import read_model
-    from piegraph_cli.stages.steps import open_environment
+    from piegraph_cli.process import choose_device, imports_at_once, set_up_torch
 
     _check_question(context.run, params)
+    with imports_at_once():
+        from piegraph_cli.planning.model import Model
+        from piegraph_cli.planning.told import plan_arrays
+        from piegraph_cli.stages.learning import read_model
     set_up_torch()
     trained = read_model(inputs["model"]) if "model" in inputs else None
-    warnings: list[str] = []
     model = Model(params.model, trained, params, choose_device(context.device))
-    if params.state is not None:
-        state, warnings = _state(params, context)
-        warnings += _above_table(state, params)
-        episodes = [_plan_once(model, params, state)]
+    if params.state is None:
+        episodes, warnings = _play(model, params, context)
     else:
-
-        def wanted(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
-            return _given_goal(params, state) or Goal.of_particles(sample())
-
-        environment = open_environment(params, model)
-        numbers = context.progress(range(params.episodes), "plan")
-        episodes = [play(environment, trained, params, wanted, start=i, goal=i, device=model.device) for i in numbers]
-        warnings = tool_warnings(params, tool_of(environment))
-    arrays = _arrays(episodes, params)
+        state, warnings = _state(params, context)
+        found = _answer(model, params, state)
+        warnings += [f"{params.state}: {warning}" for warning in found.warnings]
+        episodes = [found]
+    arrays = plan_arrays(episodes, params)
     return Output(arrays, _quality(arrays, params), warnings)
+
+
+def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["Episode"], list[str]]:
+    """Closed loop in the environment `params.env`, and what is to be said of the tool."""
+    from piegraph_cli.planning.episode import play, tool_of
+    from piegraph_cli.planning.goals import Goal
+    from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.planning.question import wanted
+    from piegraph_cli.stages.points import read_points
+    from piegraph_cli.stages.steps import open_environment
+
+    cloud = read_points(*params.goal_place()) if params.goal is not None else None
+    asked = cloud is not None or params.goal_pose is not None or params.goal_at is not None
+
+    def choose(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
+        return wanted(model.trained, params, state, state, cloud) if asked else Goal.of_particles(sample())
+
+    environment = open_environment(params, model)
+    numbers = context.progress(range(params.episodes), "episodes")
+    episodes = [play(environment, model.trained, params, choose, start=i, goal=i, device=model.device) for i in numbers]
+    return episodes, tool_warnings(params, tool_of(environment))
 
 
 def _check_question(run: "Run", params: PlanParams) -> None:
     if (params.env is None) == (params.state is None):
         raise UsageError("give either --env or --state", "piegraph plan", "as in piegraph plan --run RUN --env tblock")
-    if params.state is not None and params.goal is None and params.goal_pose is None:
-        raise UsageError("--state needs a goal", "piegraph plan", "give --goal FILE or --goal-pose DX,DY,DYAW")
-    if params.goal is not None and params.goal_pose is not None:
-        raise UsageError("give one goal, not two", "piegraph plan", "--goal or --goal-pose")
+    goals = sum(goal is not None for goal in (params.goal, params.goal_pose, params.goal_at))
+    if params.state is not None and not goals:
+        hint = "give --goal FILE, --goal-pose DX,DY,DYAW (from where it is) or --goal-at X,Y,YAW (in the world)"
+        raise UsageError("--state needs a goal", "piegraph plan", hint)
+    if goals > 1:
+        raise UsageError("give one goal, not two", "piegraph plan", "--goal, --goal-pose or --goal-at")
     if params.env is not None and (params.frame != "world" or params.table is not None):
         raise UsageError("--frame and --table are for --state: --env has a world of its own", "piegraph plan")
     told_in(run, params)
@@ -117,9 +129,9 @@ def _check_question(run: "Run", params: PlanParams) -> None:
 
 def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str]]:
     """The cloud [P, 3] (m) of the object now, and what is to be said of it: read, or seen in images."""
-    place, frame = params.state_place()
-    if not place.is_dir():
-        return _cloud(place, frame, params), []
+    place = params.state_place()
+    if not place.file.is_dir():
+        return _cloud(place, params), []
     from piegraph_cli.perception.look import look
     from piegraph_cli.stages.look import look_settings, read_scene
 
@@ -130,73 +142,52 @@ def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str
     try:
         seen.require()
     except DataError as error:
-        hint = f"piegraph look {params.state} --run {run} --picture now.png shows it; {error.hint}"
+        hint = f"{command_line('look', params.state, '--run', run, '--picture', 'now.png')} shows it; {error.hint}"
         raise DataError(error.message, str(params.state), hint) from None
     return seen.cloud, [f"{params.state}: {finding.text}" for finding in seen.findings]
 
 
-def _plan_once(model: "Model", params: PlanParams, state: "np.ndarray") -> "Episode":
-    goal = _cloud(*params.goal_file(), params) if params.goal is not None else None
+def _answer(model: "Model", params: PlanParams, state: "np.ndarray") -> "Answer":
+    from piegraph_cli.planning.question import answer
+
+    goal = _cloud(params.goal_place(), params) if params.goal is not None else None
     try:
-        return model.plan(state, goal=goal, goal_pose=params.goal_pose)
+        return answer(model.trained, params, state, goal, rest=_rest(model, params), device=model.device)
     except DataError as error:
-        asked = f"{params.state}, {'--goal ' + params.goal if params.goal else '--goal-pose'}"
+        asked = f"{params.state}, {_goal_given(params)}"
         raise DataError(error.message, asked, error.hint) from None
 
 
-def _cloud(file: "Path", frame: int | None, params: PlanParams) -> "np.ndarray":
-    """Points [P, 3] (m) of a file in the cameras' world; those of artifacts, which have the table at z = 0, are moved there."""
+def _goal_given(params: PlanParams) -> str:
+    """How the goal was given, as an option."""
+    return f"--goal {params.goal}" if params.goal else "--goal-pose" if params.goal_pose else "--goal-at"
+
+
+def _cloud(place: Place, params: PlanParams) -> "np.ndarray":
+    """Points [P, 3] (m) of a file in the cameras' world."""
+    from piegraph_cli.stages.points import read_points
+
+    return _in_world(read_points(*place), place, params)
+
+
+def _rest(model: "Model", params: PlanParams) -> "np.ndarray | None":
+    """The rest shape [N, 3] (m) of a state that is a frame of a track of the model's particles; else None."""
+    from piegraph_cli.stages.points import read_rest
+
+    place = params.state_place()
+    rest = read_rest(place.file)
+    return None if rest is None or len(rest) != model.particles else _in_world(rest, place, params)
+
+
+def _in_world(points: "np.ndarray", place: Place, params: PlanParams) -> "np.ndarray":
+    """Points [P, 3] (m) of artifacts, which have the table at z = 0, are moved to the cameras' world."""
     import numpy as np
 
     from piegraph_cli.recording.ground import level, moved
-    from piegraph_cli.stages.points import read_points
 
-    points = read_points(file, frame)
-    if file.suffix.lower() != ".h5":
+    if place.file.suffix.lower() != ".h5":
         return points
     return moved(points, np.linalg.inv(level(params.table or (0, 0, 0))))
-
-
-def _above_table(state: "np.ndarray", params: PlanParams) -> list[str]:
-    """A word on an object that cannot lie on the table."""
-    from piegraph_cli.recording.ground import level, moved
-
-    heights = moved(state, level(params.table or (0, 0, 0)))[:, 2]
-    low, high = float(heights.min()), float(heights.max())
-    if high > 0 and low < HIGH:
-        return []
-    where = f"{1000 * low:.0f} mm above" if low >= HIGH else f"{-1000 * high:.0f} mm and more below"
-    return [
-        f"the object of {params.state} lies {where} the table\n  try: --table HEIGHT, where the table is not at z = 0"
-    ]
-
-
-def _given_goal(params: PlanParams, state: "np.ndarray") -> "Goal | None":
-    """The goal that the settings name, for the object's particles now [N, 3] (m)."""
-    from piegraph_cli.planning.goals import Goal, move_in_plane
-    from piegraph_cli.stages.points import read_points
-
-    if params.goal is not None:
-        return Goal.of_cloud(read_points(*params.goal_file()), state, state)
-    if params.goal_pose is not None:
-        return Goal.of_particles(move_in_plane(state, params.goal_pose))
-    return None
-
-
-def _arrays(episodes: list["Episode"], params: PlanParams) -> dict[str, "np.ndarray"]:
-    import numpy as np
-
-    from piegraph_cli.stages.steps import step_arrays
-
-    particles = len(episodes[0].start)
-    return step_arrays([step for episode in episodes for step in episode.steps], particles) | {
-        "goal": np.array([episode.goal for episode in episodes]),
-        "metric": np.array([episode.metric for episode in episodes]),
-        "seed": np.full(len(episodes), params.seed),
-        "start_distance": np.array([episode.start_distance for episode in episodes]),
-        "end_distance": np.array([episode.end_distance for episode in episodes]),
-        "episode": np.repeat(np.arange(len(episodes)), [len(episode.steps) for episode in episodes]),
-    }
 
 
 def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
@@ -207,7 +198,7 @@ def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
         start = arrays["start_distance"][0] * 100
         return f"no stroke: {start:.1f} cm of {of} from the goal already, success is {params.success * 100:g} cm"
     if params.state is not None:
-        return f"{len(arrays['stroke'])} strokes, predicted {of} {arrays['cost'][-1] * 100:.1f} cm"
+        return f"{counted(len(arrays['stroke']), 'stroke')}, predicted {of} {arrays['cost'][-1] * 100:.1f} cm"
     solved = arrays["end_distance"] < params.success
     counts = [int((arrays["episode"] == i).sum()) for i in np.flatnonzero(solved)]
     mean = f", {np.mean(counts):.1f} strokes each" if counts else ""
@@ -218,49 +209,77 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     """A run's plan as one object and as lines for people; strokes are in the frame that was asked for, metres."""
     import numpy as np
 
+    from piegraph_cli.planning.told import stroke_rows
+
     plan = run.read(STAGE.writes)
     params = _settings(run, None)
     T = told_in(run, params)
-    rows, lines = [], [plan.quality]
-    for k, ends in enumerate(plan["stroke"]):
-        episode = int(plan["episode"][k])
-        row: dict[str, Any] = {"episode": episode, "mode": mode_word(int(plan["mode"][k]))}
-        row |= stroke_in(T, ends)
-        row |= {"predicted_distance": float(plan["cost"][k])}
-        if np.isfinite(plan["distance"][k]):
-            row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}
-        rows.append(row)
+    rows, lines = stroke_rows(plan.arrays, T), [plan.quality]
+    for row in rows:
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
         start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(
-            f"episode {episode}: {row['mode']} from ({start}) to ({end}) m, "
+            f"episode {row['episode']}: {row['mode']} from ({start}) to ({end}) m, "
             f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{reached}"
         )
+    if params.state is not None:
+        lines += _path_lines(rows)
+        lines.append(f"goal: {_goal_text(params)}")
     if params.frame == "robot":
-        lines.append(f"in the robot's frame, by T_world_robot of {_cameras_file(run, params)}")
+        lines.append(f"in the robot's frame, by T_world_robot of {cameras_file(run, params)}")
     ends = plan["end_distance"].tolist()
     value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": params.frame, "units": "m"}
+    value |= {"goal": _goal_text(params)} if params.state is not None else {}
     value |= {"metric": plan.texts("metric")[0], "start_distance": plan["start_distance"].tolist()}
     return value if np.isnan(ends).all() else value | {"end_distance": ends}, lines
 
 
-def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
-    """`T_frame_table` [4, 4] of the frame that strokes are told in; None where that is the run's world.
+def _path_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """A line for each stroke on the way of the tool around it."""
+    lines = []
+    for k, row in enumerate(rows):
+        first, last = row["path"][0], row["path"][-1]
+        above, to = (", ".join(f"{x:+.3f}" for x in point["point"]) for point in (first, last))
+        lines.append(
+            f"tool, stroke {k}: from above ({above}) to ({to}) m in {last['time']:.1f} s, way points with --json"
+        )
+    return lines
 
-    Raises `UsageError` or `DataError` where the robot's is asked for and not known.
+
+def _goal_text(params: PlanParams) -> str:
+    """What the goal was, in which frame and units."""
+    if params.goal_pose is not None:
+        x, y, yaw = params.goal_pose
+        return f"the object moved from where it is by ({x:+.3f}, {y:+.3f}) m, turned by {yaw:+.3f} rad about its middle"
+    if params.goal_at is not None:
+        x, y, yaw = params.goal_at
+        return f"the trained rest shape, its middle at ({x:+.3f}, {y:+.3f}) m in the world, turned by {yaw:+.3f} rad"
+    return f"the cloud {params.goal}"
+
+
+def told_in(run: "Run", params: PlanParams) -> "np.ndarray | None":
+    """`T_frame_table` of a run's plan, see `told_by`. Raises where the robot's frame is asked for and not known."""
+    from piegraph_cli.recording.robot_files import read_robot
+
+    return told_by(params, lambda: read_robot(cameras_file(run, params)))
+
+
+def told_by(params: PlanParams, robot: "Callable[[], np.ndarray]") -> "np.ndarray | None":
+    """`T_frame_table` [4, 4] of the frame that strokes are told in; None where that is the world with the table at z = 0.
+
+    `robot` gives `T_world_robot` [4, 4], and is asked where that frame is wanted: it raises where it is not known.
     """
     import numpy as np
 
     from piegraph_cli.recording.ground import level
-    from piegraph_cli.recording.robot_files import read_robot
 
     T = np.linalg.inv(level(params.table or (0, 0, 0)))
     if params.frame == "robot":
-        return np.linalg.inv(read_robot(_cameras_file(run, params))) @ T
+        return np.linalg.inv(robot()) @ T
     return T if any(params.table or ()) else None
 
 
-def _cameras_file(run: "Run", params: PlanParams) -> "Path":
+def cameras_file(run: "Run", params: PlanParams) -> "Path":
     """The cameras.json that says where the robot stands. Raises `UsageError` where there is none, or several disagree."""
     from piegraph_cli.recording.robot_files import read_robot
 
@@ -272,25 +291,3 @@ def _cameras_file(run: "Run", params: PlanParams) -> "Path":
     if odd:
         raise UsageError(f"the robot stands elsewhere in {odd[0]}", str(files[0]), "give --cameras FILE")
     return files[0]
-
-
-def stroke_in(T: "np.ndarray | None", ends: "np.ndarray") -> dict[str, Any]:
-    """A stroke's ends [2, 2] (m) as they are told: on the table (two numbers), or by T [4, 4] in another frame.
-
-    There they have three numbers each, and `quaternion_xyzw` turns that frame's axes to x along the stroke and z up from
-    the table; `yaw` (rad) is the stroke's heading about that frame's z.
-    """
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    if T is None:
-        return {"start": ends[0].tolist(), "end": ends[1].tolist()}
-    start, end = (T[:3, :3] @ [*xy, 0] + T[:3, 3] for xy in ends.astype(float))
-    up, along = T[:3, 2], (end - start) / np.linalg.norm(end - start)
-    turn = Rotation.from_matrix(np.column_stack([along, np.cross(up, along), up]))
-    return {
-        "start": start.tolist(),
-        "end": end.tolist(),
-        "yaw": float(np.arctan2(along[1], along[0])),
-        "quaternion_xyzw": turn.as_quat(canonical=True).tolist(),
-    }

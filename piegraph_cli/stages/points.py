@@ -9,12 +9,13 @@ from piegraph_cli.recording import points
 from piegraph_cli.workspace.artifact import read_artifact
 
 
-def read_points(path: Path, frame: int | None) -> np.ndarray:
-    """Points [P, 3] float32 (m, world) of a .ply, .npz (first array [P, 3] or [F, P, 3]) or .h5 (clouds or tracks) file.
+def read_points(path: Path, frame: int | None, key: str | None = None) -> np.ndarray:
+    """Points [P, 3] float32 (m, world) of a .ply, .npz ([P, 3] or [F, P, 3]) or .h5 (clouds or tracks) file.
 
-    Of several frames the given one, else the last. Raises `DataError` for what cannot be trusted to be whole.
+    Of several frames the given one, else the last; of an .npz the array called `key`, else the first. Raises `DataError`
+    for what cannot be trusted to be whole.
     """
-    return points.read_points(path, frame, {".h5": _frames_of_artifact})
+    return points.read_points(path, frame, {".h5": _frames_of_artifact}, key)
 
 
 def _frames_of_artifact(path: Path) -> points.Frames:
@@ -24,3 +25,9 @@ def _frames_of_artifact(path: Path) -> points.Frames:
     if found.name == "tracks":
         return found["positions"]
     raise DataError(f"holds {found.name}, expected clouds or tracks", str(path), "give the file of the right stage")
+
+
+def read_rest(path: Path) -> np.ndarray | None:
+    """The particles [N, 3] (m) of a track's first frame, which are those of all its frames; None for any other file."""
+    found = read_artifact(path, foreign=True) if path.suffix == ".h5" else None
+    return found["positions"][0] if found and found.name == "tracks" else None

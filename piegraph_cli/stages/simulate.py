@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments.params import EnvironmentParams, RecordingParams, SequenceParams, SimulateParams
 from piegraph_cli.errors import UsageError
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Folder, Given, Instead, Told
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
@@ -43,7 +44,7 @@ def _folder(given: Given) -> Path:
 
 def _render(folder: Path, params: SimulateParams, jobs: int, force: bool) -> Told:
     names = record_sequences(folder, params, jobs=jobs, force=force)
-    return {"recording": str(folder), "sequences": names}, [f"{folder}: {len(names)} sequences"]
+    return {"recording": str(folder), "sequences": names}, [f"{folder}: {counted(len(names), 'sequence')}"]
 
 
 STAGE = Stage(
@@ -79,7 +80,7 @@ def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Out
     tracks = recording.simulate_tracks(environment, sequence_seed(params, index), params.strokes, params.modes)
     frames, particles = tracks["positions"].shape[:2]
     arrays = tracks | {"residual": np.zeros(frames), "visibility": np.ones((frames, particles))}
-    return Output(arrays, f"{frames} frames, {params.strokes} strokes, {particles} particles")
+    return Output(arrays, f"{frames} frames, {counted(params.strokes, 'stroke')}, {particles} particles")
 
 
 def make_environment(name: str, particles: int, params: EnvironmentParams) -> Any:

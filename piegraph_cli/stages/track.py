@@ -62,7 +62,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
     views = Views(inputs["frames"], inputs["masks"])
     try:
         tracked = track_clouds(
-            clouds, params, views=views, progress=lambda c: context.progress(c, "track", len(clouds)), **held
+            clouds, params, views=views, progress=lambda c: context.progress(c, "frames", len(clouds)), **held
         )
     except DataError as error:
         raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.dynamics.params import LEARNED, ModelParams, TrainParams, split_label, trained_label
-from piegraph_cli.errors import MissingError
+from piegraph_cli.errors import MissingError, command_line
 from piegraph_cli.params import validated
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Given, Option, options_of
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 BENT = 0.005
 """Metres from a rigid motion above which the user of `rigid` is warned."""
+
+STATES = 400
+"""States of the object that tell how large it is, at most."""
 
 RECORDS = 20
 """Losses are noted this many times in a training."""
@@ -73,9 +77,9 @@ def _inputs(run: "Run", unit: Unit) -> Inputs:
 def _command(run: "Run", unit: Unit) -> str:
     """A model that the recipe does not train needs a call of its own."""
     if unit in run.units(STAGE):
-        return f"piegraph run --run {run.folder} --until train"
+        return command_line("run", "--run", run.folder, "--until", "train")
     label, seed = split_model(str(unit))
-    return f"piegraph train --run {run.folder} --model {label} --seed {seed}"
+    return command_line("train", "--run", run.folder, "--model", label, "--seed", seed)
 
 
 _OF_ALL = ("checkpoint_every", "tensorboard")
@@ -140,7 +144,7 @@ STAGE = Stage(
     ("dataset",),
     "model",
     TrainParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.train:run",
     unit="model",
     units=_units,
@@ -174,11 +178,7 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     assert learner is not None
     data = read_sequences(inputs["dataset"], TRAIN, count, params.seed)
     network = make_network(name, params.settings, data.picks, params.seed)
-    about = {
-        "particles": np.array(data.positions.shape[1]),
-        "modes": np.unique(data.mode),
-        "pace": np.array(data.pace),
-    }
+    about = _about(data)
     if isinstance(network, RigidBody):
         return _fit_body(network, data, about)
     assert isinstance(params.settings, LearningParams)
@@ -191,10 +191,25 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     steps, train, validation_loss = np.array(trainer.history).T
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
     arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
-    quality = f"loss {train[-1]:.4f} after {settings.steps} steps on {len(trainer.examples)} examples"
+    quality = f"loss {train[-1]:.4f} after {counted(settings.steps, 'step')} on {len(trainer.examples)} examples"
     if not math.isnan(trainer.best_loss) and validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
     return Output(arrays | about, quality)
+
+
+def _about(data: "Sequences") -> dict[str, Any]:
+    """What every model keeps of the object and the strokes that it has learned from."""
+    import numpy as np
+
+    from piegraph_cli.physics.particles import Sizes
+
+    return {
+        "particles": np.array(data.positions.shape[1]),
+        "modes": np.unique(data.mode),
+        "pace": np.array(data.pace),
+        "rest": data.rest[0],
+        "size": Sizes.of(data.at_rest(STATES)).array(),
+    }
 
 
 def _fit_body(body: "RigidBody", data: "Sequences", about: dict[str, Any]) -> Output:
@@ -223,7 +238,7 @@ def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:
     settings = trainer.params
     every = max(1, settings.steps // RECORDS)
     writer = _tensorboard(context) if params.tensorboard else None
-    for step in context.progress(range(trainer.done + 1, settings.steps + 1), "train"):
+    for step in context.progress(range(trainer.done + 1, settings.steps + 1), "steps"):
         trainer.step()
         if step % every == 0 or step == settings.steps:
             _, loss, found = trainer.record()

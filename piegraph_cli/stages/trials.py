@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments import check_options
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
+from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.run import Run
 
 _QUESTION = {
-    *("env", "state", "goal", "goal_pose", "table", "frame", "cameras"),
+    *("env", "state", "goal", "goal_pose", "goal_at", "table", "frame", "cameras"),
     *("model", "strokes", "success", "episodes", "seed"),
 }
 """Settings of `plan` that the grid gives."""
@@ -103,9 +104,10 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     from piegraph_cli.planning.episode import play, tool_of
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.planning.told import step_arrays
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import read_model
-    from piegraph_cli.stages.steps import open_environment, step_arrays
+    from piegraph_cli.stages.steps import open_environment
 
     set_up_torch()
     model = _read_model(params)
@@ -127,8 +129,8 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
 
 def _quality(end: float, strokes: int, plan: PlanParams) -> str:
     if end < plan.success:
-        return f"{end * 100:.1f} cm from the goal after {strokes} strokes"
-    return f"{end * 100:.1f} cm from the goal after {strokes} strokes, not below {plan.success * 100:g} cm"
+        return f"{end * 100:.1f} cm from the goal after {counted(strokes, 'stroke')}"
+    return f"{end * 100:.1f} cm from the goal after {counted(strokes, 'stroke')}, not below {plan.success * 100:g} cm"
 
 
 def _read_model(params: TrialParams) -> "Artifact | None":
@@ -142,7 +144,8 @@ def _read_model(params: TrialParams) -> "Artifact | None":
         raise DataError(
             f"{params.plan.model} is not trained for {env}",
             str(params.network),
-            f"piegraph run {env} --run {folder}, or piegraph train --run {folder} --model {params.plan.model}",
+            f"{command_line('run', env, '--run', folder)}, or "
+            + command_line("train", "--run", folder, "--model", params.plan.model),
         )
     return _read_once(params.network, key)
 

@@ -180,6 +180,22 @@ def _structure(file: "h5py.File", path: Path, name: str, hint: str) -> "tuple[di
     return found, check_shapes(str(path), name, found, hint)
 
 
+def open_artifact(
+    path: Path, name: str, cache: int
+) -> "tuple[contextlib.ExitStack, dict[str, str], dict[str, Found], dict[str, int]]":
+    """An artifact that stays open until the first of these is closed: that, its attributes, datasets, and lengths of axes.
+
+    Checksum and structure are looked at as `read_artifact` does, values are not read; `cache` bytes of each dataset are kept.
+    """
+    checked = _checked(path, name)
+    if not checked:
+        probe(path, _copied(name), name=name)
+    with contextlib.ExitStack() as stack:
+        file, attributes = stack.enter_context(_open(path, name, checked, cache))
+        found, lengths = _structure(file, path, name, _remake(path, attributes))
+        return stack.pop_all(), attributes, found, lengths
+
+
 def read_key(path: Path, name: str) -> str | None:
     """The key of an artifact, or None when it is absent, damaged or of another version: then it is made again."""
     header = read_header(path, name)
@@ -235,9 +251,11 @@ def _copied(name: str | None) -> str:
 
 
 @contextlib.contextmanager
-def _open(path: Path, name: str | None, checked: bool) -> "Iterator[tuple[h5py.File, dict[str, str]]]":
+def _open(
+    path: Path, name: str | None, checked: bool, cache: int | None = None
+) -> "Iterator[tuple[h5py.File, dict[str, str]]]":
     """An artifact that is opened, and its attributes; what HDF5 cannot read is a `DataError`."""
-    with opened(path, _copied(name)) as file:
+    with opened(path, _copied(name), cache) as file:
         yield file, _attributes(file, path, name, checked)
 
 

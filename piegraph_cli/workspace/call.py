@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from piegraph_cli.params import Params
+from piegraph_cli.text import Line
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 Given = Mapping[str, Any]
 """Options that were given, by the names of the settings."""
 
-Told = tuple[dict[str, Any], list[str]]
+Told = tuple[dict[str, Any], list[Line]]
 """What a command tells: one object, and the same as lines for people."""
 
 

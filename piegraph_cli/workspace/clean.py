@@ -7,6 +7,7 @@ import os
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def find_waste(run: Run) -> list[Waste]:
 
     Results of stages that a recipe has to name are left be where it does not name them: each answers a question of its own.
     """
-    found = [*_artifacts(run), *_checkpoints(run), *_temporaries(run), *_locks(run)]
+    found = [*_artifacts(run), *_checkpoints(run), *_temporaries(run)]
     held = {lock for lock in {waste.lock for waste in found} if lock is not None and _held(lock)}
     return [waste for waste in found if waste.lock not in held]
 
@@ -57,13 +58,21 @@ def remove(waste: list[Waste]) -> list[Waste]:
             else:
                 one.lock.parent.mkdir(exist_ok=True)
                 with FileLock(one.lock, timeout=0):
-                    removed += [one] if one.path == one.lock else _removed(one)
+                    removed += _removed(one)
                     one.lock.unlink(missing_ok=True)
         except Timeout:
             continue
         except OSError as error:
             raise DataError(f"cannot be removed: {error}", str(one.path), "check permissions") from None
     return removed
+
+
+def remove_locks(run: Run) -> None:
+    """Remove the lock files that nobody holds: they are empty, and made when they are needed."""
+    for entry in _files(run, run.lock_file("").parent.name):
+        if entry.name.endswith(".lock"):
+            with suppress(Timeout, OSError), FileLock(entry.path, timeout=0):
+                Path(entry.path).unlink(missing_ok=True)
 
 
 def _removed(waste: Waste) -> list[Waste]:
@@ -131,12 +140,6 @@ def _temporaries(run: Run) -> Iterator[Waste]:
             age = time.time() - entry.stat(follow_symlinks=False).st_mtime
             if TEMPORARY.fullmatch(entry.name) and age > ABANDONED:
                 yield _waste(entry, "left by a process that was killed")
-
-
-def _locks(run: Run) -> Iterator[Waste]:
-    for entry in _files(run, run.lock_file("").parent.name):
-        if entry.name.endswith(".lock"):
-            yield _waste(entry, "lock that nobody holds", Path(entry.path))
 
 
 def _held(lock: Path) -> bool:

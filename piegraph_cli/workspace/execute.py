@@ -10,11 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from piegraph_cli.errors import DataError, InputError, PiegraphError
+from piegraph_cli.errors import DataError, InputError, PiegraphError, command_line
 from piegraph_cli.files import remove_leftovers
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
 from piegraph_cli.workspace.parallel import each
+from piegraph_cli.workspace.progress import Tell, silent, watching
 from piegraph_cli.workspace.run import Run
+from piegraph_cli.workspace.said import keep_warnings
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -112,6 +114,7 @@ def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
             # what was not made yet is no failure: once it is there, the same key is to be tried
             failed = {o.unit: o.error for o in outcomes if o.error and not isinstance(o.error, InputError)}
             run.record_failures(stage, todo, failed)
+            keep_warnings(run, stage, {o.unit: o.warnings for o in outcomes if o.state == "done"})
         except DataError as full:  # a full disk: the outcomes still count
             log.error("%s", full)
     for unit, why in left_out.items():
@@ -121,20 +124,20 @@ def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
 
 
 def _work_through(run: Run, stage: Stage, units: list[Unit], options: Options) -> list[Outcome]:
-    from tqdm import tqdm
-
-    many = len(units) > 1 or options.backend == "ray"
     jobs = max(1, min(options.jobs, len(units)))
     if jobs > 1 or options.backend == "ray":
         _tell_processes(run, stage, units)
-    work = partial(run_unit, Run(run.folder.resolve(), run.recipe), stage, options=options, quiet=many)
 
     def lost(unit: Unit, error: PiegraphError) -> Outcome:
         return Outcome(stage.name, unit, "failed", 0.0, error=error)
 
-    bar = tqdm(total=len(units), desc=stage.name, leave=False, disable=None if many else True)
-    with bar:
-        return [outcome for outcome in each(work, units, jobs, options.backend, lost) if bar.update() or True]
+    outcomes = []
+    with watching(stage.name, len(units), stage.unit, jobs > 1, options.backend == "local") as (tell, finish):
+        work = partial(run_unit, Run(run.folder.resolve(), run.recipe), stage, options=options, tell=tell)
+        for outcome in each(work, units, jobs, options.backend, lost):
+            outcomes.append(outcome)
+            finish(outcome.unit or "")
+    return outcomes
 
 
 def _tell_processes(run: Run, stage: Stage, units: list[Unit]) -> None:
@@ -145,7 +148,7 @@ def _tell_processes(run: Run, stage: Stage, units: list[Unit]) -> None:
     run.known.save()
 
 
-def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool = True) -> Outcome:
+def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell = silent) -> Outcome:
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
     start = time.monotonic()
     try:
@@ -154,7 +157,7 @@ def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool =
                 remove_leftovers(file)
             if (waited or not options.force) and run.fresh(stage, unit):
                 return Outcome(stage.name, unit, "cached", 0.0, _quality(run, stage, unit))
-            output = _make(run, stage, unit, options, quiet)
+            output = _make(run, stage, unit, options, tell)
         return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
     except PiegraphError as error:
         return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=error)
@@ -167,14 +170,14 @@ def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool =
         return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=bug)
 
 
-def _make(run: Run, stage: Stage, unit: Unit, options: Options, quiet: bool) -> Output:
+def _make(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell) -> Output:
     key = run.key(stage, unit)
     inputs: dict[str, Any] = {
         name: _OnDemand(run, name, units) if isinstance(units, list) else run.read(name, units)
         for name, units in run.inputs(stage, unit).items()
     }
     checkpoint = Checkpoint(run.checkpoint(stage, unit), stage, key)
-    context = Context(run, unit, options.device, checkpoint, quiet)
+    context = Context(run, unit, options.device, checkpoint, tell)
     params = run.settings(stage, unit)
     output = stage.load()(inputs, params, context)
     write_artifact(
@@ -218,7 +221,7 @@ def _require_inputs(run: Run, stage: Stage, unit: Unit) -> None:
             raise DataError(
                 f"no {run.maker(name).unit} has {name}: {reasons}",
                 str(run.folder),
-                f"piegraph status --run {run.folder}",
+                command_line("status", "--run", run.folder),
             )
 
 

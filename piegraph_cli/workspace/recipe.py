@@ -97,6 +97,11 @@ def load_recipe(path: Path, table: Table) -> Recipe:
     return recipe
 
 
+def change_recipe(path: Path, table: Table, stage: Stage, values: Mapping[str, Any]) -> None:
+    """Replace some settings of a stage in a recipe's file; all others stay. Raises `UsageError` for wrong ones."""
+    load_recipe(path, table).with_values(stage, values, str(path), path.parent).save(path)
+
+
 def shipped() -> list[str]:
     """Names of the recipes that come with the package."""
     return sorted(p.stem for p in SHIPPED.glob("[!.]*.toml"))

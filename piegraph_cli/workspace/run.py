@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
+from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError, command_line
 from piegraph_cli.files import atomic_file
 from piegraph_cli.params import Params
 from piegraph_cli.workspace.artifact import Artifact, Header, read_artifact
@@ -233,7 +233,7 @@ class Run:
         producer = self.maker(artifact)
         state = self.state(producer, unit)
         if state != "fresh":
-            default = f"piegraph run --run {self.folder} --until {producer.name}"
+            default = command_line("run", "--run", self.folder, "--until", producer.name)
             hint = producer.command(self, unit) if producer.command else default
             raise InputError(f"{artifact} is {state}", str(self.path(artifact, unit)), hint)
         return self.known.read(_place(artifact, unit), self.path(artifact, unit), artifact)

@@ -58,7 +58,16 @@ BOUNDS: dict[str, tuple[float, float]] = {
 """By units, what values lie between, both included; of units that are not here anything finite may be."""
 
 
-FIXED_AXES = {"xyz": 3, "xy": 2, "wh": 2, "first_last": 2, "landmark": 21, "start_end": 2}
+FIXED_AXES = {
+    "xyz": 3,
+    "xy": 2,
+    "wh": 2,
+    "first_last": 2,
+    "landmark": 21,
+    "start_end": 2,
+    "least_most": 2,
+    "measure": 4,
+}
 """Axes whose length is the same in every file; `3`, `4`, `5` in `axes` stand for themselves."""
 
 TEXT, LONG_TEXT = "S128", "S512"
@@ -169,6 +178,8 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "particles": Field("", "1", "int64", low=1, high=100_000),
         "modes": Field("mode", "0 push, 1 pick", "uint8"),
         "pace": Field("", "m a frame", "float64"),
+        "rest": Field("rest_particle,xyz", "m", "float32"),
+        "size": Field("least_most,measure", "m", "float64"),
         "step": Field("record", "1", "int64", low=0, high=INF),
         "train_loss": Field("record", "the model's own", "float64"),
         "validation_loss": Field("record", "the model's own", "float64", nan=True),
@@ -188,6 +199,9 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "metric": Field("episode", "text", TEXT),
         "episode": Field("step", "episode", "int64", index="episode"),
         **_STEPS,
+        "path": Field("step,way_point,xyz", "m", "float32", nan=True),
+        "path_time": Field("step,way_point", "s", "float64", nan=True),
+        "path_closed": Field("step,way_point", "1", "bool"),
         "seed": Field("episode", "1", "int64"),
         "start_distance": Field("episode", "m", "float64", low=0, high=INF),
         "end_distance": Field("episode", "m", "float64", nan=True, low=0, high=INF),

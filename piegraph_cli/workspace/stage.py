@@ -6,10 +6,12 @@ The stages themselves are in `stages/`, each in a module of its own; nothing her
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.params import Params
 from piegraph_cli.workspace.call import Call
+from piegraph_cli.workspace.progress import Item, Tell, counting, silent
 
 if TYPE_CHECKING:
     import numpy as np
@@ -85,11 +87,13 @@ class Context:
     unit: Unit
     device: str
     checkpoint: "Checkpoint"
-    quiet: bool
+    tell: Tell = silent
+    """Told how far the work is."""
 
-    def progress(self, items: Iterable, what: str, total: int | None = None) -> Iterator:
-        """The items, with a progress bar on stderr where that is a terminal."""
-        from tqdm import tqdm
+    def progress(self, items: Iterable[Item], what: str, total: int | None = None) -> Iterator[Item]:
+        """The items, `what` they are counted as people see how far the work is."""
+        return self.counting(len(items) if total is None else total, what)(items)  # type: ignore[arg-type]
 
-        name = f"{what} {self.unit}" if self.unit else what
-        yield from tqdm(items, desc=name, total=total, leave=False, disable=None if not self.quiet else True, delay=1)
+    def counting(self, total: int, what: str) -> Callable[[Iterable[Item]], Iterator[Item]]:
+        """The same for several iterables that have `total` items together."""
+        return counting(partial(self.tell, self.unit or ""), total, what)

@@ -62,12 +62,17 @@ class Found:
 
 
 @contextlib.contextmanager
-def opened(path: Path, hint: str) -> "Iterator[h5py.File]":
-    """An HDF5 file to read from; whatever HDF5 and h5py raise for broken files is a `DataError`."""
+def opened(path: Path, hint: str, cache: int | None = None) -> "Iterator[h5py.File]":
+    """An HDF5 file to read from; whatever HDF5 and h5py raise for broken files is a `DataError`.
+
+    `cache` bytes of each dataset are kept, by default as many as h5py does.
+    """
     import h5py
 
     try:
-        with h5py.File(path, "r", locking=False) as file:  # ours are replaced whole, never written in place
+        with h5py.File(
+            path, "r", locking=False, rdcc_nbytes=cache
+        ) as file:  # ours are replaced whole, never written in place
             yield file
     except DataError:
         raise

@@ -58,14 +58,18 @@ def check_values(
     found: Mapping[str, Found],
     lengths: Mapping[str, int],
     hint: str = "",
+    part: bool = False,
 ) -> None:
-    """Check what arrays hold, all or some of those that were `found`, with the `lengths` of axes: see `schema.Field`."""
+    """Check what arrays hold, all or some of those that were `found`, with the `lengths` of axes: see `schema.Field`.
+
+    Of `part` of a dataset's rows what they mean together is left out.
+    """
     for dataset, value in arrays.items():
         field = field_of(name, dataset)
         assert field is not None
         where = f"{path}, dataset {dataset}"
         _check_numbers(value, field, lengths, where, hint)
-        if field.ends and value.ndim:
+        if field.ends and value.ndim and not part:
             _check_offsets(value, found[field.ends], field.ends, where, hint)
         if field.rises and (value[1:] <= value[:-1]).any():
             raise DataError(f"does not rise at index {int((value[1:] <= value[:-1]).argmax()) + 1}", where, hint)

@@ -2,12 +2,12 @@
 
 import contextlib
 import io
-import json
 import os
 import subprocess
 from pathlib import Path
 
 from piegraph_cli.commands.program import call
+from tests.envelopes import checked
 
 
 def piegraph(*arguments: object, check: int | None = 0, cwd: Path | None = None) -> subprocess.CompletedProcess:
@@ -25,5 +25,10 @@ def piegraph(*arguments: object, check: int | None = 0, cwd: Path | None = None)
 
 
 def piegraph_json(*arguments: object, check: int | None = 0) -> dict:
-    """The JSON object a command prints with --json."""
-    return json.loads(piegraph(*arguments, "--json", check=check).stdout)
+    """The result that a command prints with --json."""
+    return envelope(*arguments, check=check)["result"]
+
+
+def envelope(*arguments: object, check: int | None = 0) -> dict:
+    """All that a command prints with --json: one object."""
+    return checked(piegraph(*arguments, "--json", check=check).stdout)

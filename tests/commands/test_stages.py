@@ -99,7 +99,7 @@ def test_evaluate_prints_what_there_is_and_names_what_is_missing(folder):
     found = piegraph_json(*command, check=3)
     assert {row["model"] for row in found["rows"]} == {"static", "piegraph"}
     assert found["failed"] == []
-    trains = f"piegraph train --run {folder} --model"
+    trains = f"piegraph train --run '{folder}' --model"
     assert {row["model"]: row["command"] for row in found["missing"]} == {
         "gnn@1.seed0": f"{trains} gnn@1 --seed 0",
         "pgnd.seed0": f"{trains} pgnd --seed 0",
@@ -115,7 +115,7 @@ def test_a_model_of_the_recipe_is_made_by_its_recipe(folder):
     for artifact in ("model", "metrics"):
         shutil.rmtree(folder / artifact)
     found = piegraph_json("evaluate", "--run", folder, "--models", "static,piegraph", check=3)
-    assert [row["command"] for row in found["missing"]] == [f"piegraph run --run {folder} --until train"]
+    assert [row["command"] for row in found["missing"]] == [f"piegraph run --run '{folder}' --until train"]
     assert {row["model"] for row in found["rows"]} == {"static"}
 
 
@@ -138,7 +138,7 @@ def test_render_records_in_place_of_tracks(tmp_path, monkeypatch):
     command = ("simulate", "tblock", "--render", "--sequences", 4, "--strokes", 3)
     found = piegraph_json(*command, "--out", "my_recording")
     assert found == {"recording": "my_recording", "sequences": ["sequence_0000"]}
-    assert piegraph(*command, "--jobs", 2, "--force").stdout == "recordings/tblock: 1 sequences\n"
+    assert piegraph(*command, "--jobs", 2, "--force").stdout == "recordings/tblock: 1 sequence\n"
     assert made == [("my_recording", "tblock", 4, 3, 1, False), ("recordings/tblock", "tblock", 4, 3, 2, True)]
 
 
@@ -172,7 +172,57 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
     there = piegraph_json("plan", "--run", planner, "--state", tmp_path / "now.npz", "--goal-pose", "0,0,0")
     assert there["strokes"] == []
     assert "already" in there["quality"]
-    assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance"}
+    assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance", "path"}
+    first, *_, last = plan["strokes"][0]["path"]
+    assert first["point"] == pytest.approx([*plan["strokes"][0]["start"], 0.1])
+    assert (first["time"], first["part"], last["part"], last["point"][2]) == (
+        0,
+        "approach",
+        "retreat",
+        pytest.approx(0.1),
+    )
+    assert "moved from where it is by (+0.100, +0.000) m, turned by +0.300 rad" in plan["goal"]
+
+
+def test_a_goal_may_be_an_array_by_key_or_a_pose_in_the_world_and_boxes_are_kept_out_of(planner, tiny_run, tmp_path):
+    track = tiny_run / "tracks" / "sequence_0001.h5"
+    now = open_run(tiny_run).read("tracks", "sequence_0001")["positions"][0]
+    np.savez(tmp_path / "all.npz", note=np.zeros(4), now=now, goal=np.stack([now, now + np.float32([0.1, 0, 0])]))
+    of_file, ask = f"{tmp_path / 'all.npz'}:", ("plan", "--run", planner, "--samples", 10, "--cem-iterations", 1)
+    by_key = piegraph_json(*ask, "--state", f"{of_file}now", "--goal", f"{of_file}goal:1")
+    tracked = piegraph_json(*ask, "--state", f"{track}:0", "--goal-pose", "0.1,0,0")
+    assert by_key["start_distance"] == pytest.approx(tracked["start_distance"], abs=2e-3)
+    missing = piegraph(*ask, "--state", f"{of_file}then", "--goal-pose", "0.1,0,0", check=3)
+    assert "has no array then\n  try: it has note, now, goal" in missing.stderr
+    first = piegraph(*ask, "--state", tmp_path / "all.npz", "--goal-pose", "0.1,0,0", check=3)
+    assert "name theirs: FILE:KEY" in first.stderr
+    turned = piegraph(*ask, "--state", f"{of_file}now", "--goal-at", "0.1,0,90", check=2)
+    assert "90 degrees are 1.571" in turned.stderr
+    world = piegraph(*ask, "--state", f"{of_file}now", "--goal-at", "0.1,0.05,0.5").stdout
+    assert "goal: the trained rest shape, its middle at (+0.100, +0.050) m in the world, turned by +0.500 rad" in world
+    assert "tool, stroke 0: from above (" in world
+    boxes = ("--keep-out", "-1,0,-1,1,0,0.2;0,1,-1,1,0,0.2")
+    refused = piegraph(*ask, "--state", f"{of_file}now", "--goal-pose", "0.1,0,0", *boxes, check=3)
+    assert "no stroke touches the object inside the workspace and outside the boxes of plan.keep_out" in refused.stderr
+
+
+HEAVY = {
+    *("cv2", "gymnasium", "matplotlib", "mediapipe", "mujoco", "open3d", "pandas", "pymunk", "sympy"),
+    *("scipy.ndimage", "scipy.optimize", "scipy.stats", "torch._dynamo", "torch._inductor"),
+    *("piegraph_cli.environments.base", "piegraph_cli.perception.parts", "piegraph_cli.dynamics.dataset"),
+}
+"""Modules that a one-shot plan starts faster without."""
+
+
+def test_a_one_shot_plan_imports_nothing_heavy_but_what_predicts(planner, tiny_run, tmp_path):
+    code = "import sys; from piegraph_cli.commands.program import call; code = call(sys.argv[1:]); print(*sys.modules)"
+    track = tiny_run / "tracks" / "sequence_0001.h5"
+    asked = ("plan", "--run", planner, "--state", f"{track}:0", "--goal-pose", "0.1,0,0.3", "--samples", 4)
+    command = [sys.executable, "-c", code, *map(str, (*asked, "--out", tmp_path / "plan.h5"))]
+    done = subprocess.run(command, capture_output=True, text=True)
+    modules = set(done.stdout.splitlines()[-1].split())
+    assert {"torch", "h5py", "piegraph_cli.planning.question"} <= modules, done.stderr
+    assert not HEAVY & modules
 
 
 def test_a_cloud_that_was_cut_off_moves_no_robot(planner, tiny_run, tmp_path):
@@ -239,7 +289,7 @@ def test_a_model_that_is_not_trained_plans_without_one(planner, model):
 
 def test_a_plan_with_a_model_that_is_not_there_names_what_trains_it_and_shows_no_old_plan(planner):
     done = piegraph("plan", "--run", planner, "--env", "tblock", "--model", "pgnd", check=3)
-    assert f"try: piegraph train --run {planner} --model pgnd --seed 0" in done.stderr
+    assert f"try: piegraph train --run '{planner}' --model pgnd --seed 0" in done.stderr
     assert done.stdout == "failed: plan\n"
 
 

@@ -1,6 +1,7 @@
 """Every setting of training and of every model reaches its network, its examples or its optimiser."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,12 +54,21 @@ OTHERS = {
     "noise": 0.01,
     "cell": 0.03,
     "gripper": 0.1,
+    "pusher": 0.03,
+    "step": 0.004,
     "edge_weight": 3.0,
 }
 """Another value of each setting that is a number."""
 SYMMETRIC = ("egnn-g", "mirror")
 """Has no action head, so its network knows no left and right: mirrored pairs teach it the same."""
-CASES = [(name, field) for name, of in BY_GRADIENT.items() for field in of.model_fields if (name, field) != SYMMETRIC]
+HOLDING = ("pgnd", "gripper")
+"""Is for picks alone."""
+CASES = [
+    (name, field)
+    for name, of in BY_GRADIENT.items()
+    for field in of.model_fields
+    if (name, field) not in (SYMMETRIC, HOLDING)
+]
 
 
 def sequences() -> Sequences:
@@ -88,18 +98,20 @@ def sequences() -> Sequences:
 DATA = sequences()
 
 
-def trainer_of(name: str, params: LearningParams, seed: int = 0, validation: Sequences | None = None) -> Trainer:
+def trainer_of(
+    name: str, params: LearningParams, seed: int = 0, validation: Sequences | None = None, data: Sequences = DATA
+) -> Trainer:
     learner = MODELS[name].learner
     assert learner is not None
     held_out = learner.examples(validation, params, "cpu") if validation else None
     return Trainer(
-        make_network(name, params, False, seed), learner.examples(DATA, params, "cpu"), held_out, params, seed
+        make_network(name, params, False, seed), learner.examples(data, params, "cpu"), held_out, params, seed
     )
 
 
-def learned(name: str, **settings) -> list[np.ndarray]:
+def learned(name: str, data: Sequences = DATA, **settings) -> list[np.ndarray]:
     """The weights and the loss after a few steps."""
-    trainer = trainer_of(name, LEARNED[name](**SMALL[name] | settings))
+    trainer = trainer_of(name, LEARNED[name](**SMALL[name] | settings), data=data)
     for _ in range(2 if name == "sms-o" else 4):
         trainer.step()
     loss = trainer.record()[1]
@@ -120,6 +132,12 @@ def test_every_setting_changes_what_a_model_learns(name, field, as_they_are):
     after = learned(name, **{field: changed})
     same = len(after) == len(as_they_are(name)) and all(map(np.array_equal, after, as_they_are(name)))
     assert not same
+
+
+def test_what_a_hand_drags_along_matters_where_it_holds_alone(as_they_are):
+    assert all(map(np.array_equal, learned("pgnd", gripper=0.1), as_they_are("pgnd")))
+    picks = replace(DATA, mode=np.ones(3, np.uint8))
+    assert not all(map(np.array_equal, learned("pgnd", picks, gripper=0.1), learned("pgnd", picks)))
 
 
 def test_a_network_without_handedness_learns_the_same_from_mirrored_pairs(as_they_are):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from piegraph_cli.dynamics import gbnd, pgnd, sms
-from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, move_in_plane, planar_motions
+from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, finer, move_in_plane, planar_motions
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
 from piegraph_cli.dynamics.params import (
     BY_GRADIENT,
@@ -22,6 +22,7 @@ from piegraph_cli.dynamics.params import (
 from piegraph_cli.dynamics.rigid_body import RigidBody
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.dynamics.training import Trainer
+from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.physics import simulation
 from piegraph_cli.physics.springs import build_springs
 
@@ -200,30 +201,24 @@ def test_turned_pairs_are_the_same_physics():
     assert abs(losses["gnn"][0] / losses["gnn"][1] - 1) > 1e-3
 
 
-def dense_step(network: pgnd.PGND, past: torch.Tensor, hand: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
-    """`PGND.step` with every node of the grid."""
-    cell = network.params.cell
-    middle = past[:, -1].mean(1)[:, :2]
-    origin = torch.cat([pgnd.NODES * cell / 2 - middle, torch.full_like(middle[:, :1], pgnd.WALL * cell)], -1)
-    x = past[:, -1] + origin[:, None]
-    axis = torch.arange(pgnd.NODES)
-    nodes = torch.cartesian_prod(axis, axis, axis)[None].expand(len(x), -1, -1)
-    velocity = network.field(nodes.to(x) * cell, x, network.features(past), hand + origin[:, :2], after - hand)
-    touched, weights = pgnd.stencil(x, cell)
-    place = (touched[..., 0] * pgnd.NODES + touched[..., 1]) * pgnd.NODES + touched[..., 2]
-    around = velocity.gather(1, place.flatten(1)[..., None].expand(-1, -1, 3)).view(*touched.shape)
-    return past[:, -1] + pgnd.FRAME * (weights[..., None] * around).sum(2)
-
-
-def test_the_sparse_grid_is_the_dense_one():
+@pytest.mark.parametrize("mode", [PUSH, PICK])
+def test_the_sparse_grid_is_the_dense_one(mode, monkeypatch):
     data = sequences()
-    trained = untrained("pgnd", data)
-    network = trained.network.double()
+    network = untrained("pgnd", data).network.double()
     past = torch.as_tensor(data.positions[[0, 0, 1, 2, 6, 7, 8, 9]]).double().view(2, 4, -1, 3)
     hand = torch.as_tensor(data.hand[[2, 9]]).double()
-    after = hand + torch.tensor([0.012, -0.004])
+    after, modes = hand + torch.tensor([0.012, -0.004]), torch.tensor([mode, mode])
+    axis = torch.arange(pgnd.NODES)
+    nodes = torch.cartesian_prod(axis, axis, axis)
+
+    def every(touched: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        place = (touched[..., 0] * pgnd.NODES + touched[..., 1]) * pgnd.NODES + touched[..., 2]
+        return nodes[None].expand(len(touched), -1, -1), place
+
     with torch.no_grad():
-        sparse, dense = network.step(past, hand, after), dense_step(network, past, hand, after)
+        sparse = network.step(past, hand, after, modes)
+        monkeypatch.setattr(pgnd, "active_nodes", every)
+        dense = network.step(past, hand, after, modes)
     assert float((sparse - past[:, -1]).norm(dim=-1).max()) > 1e-3
     torch.testing.assert_close(sparse, dense, atol=1e-12, rtol=0)
 
@@ -235,18 +230,58 @@ def test_the_stencil_is_a_partition_of_unity_and_reproduces_places():
     torch.testing.assert_close((weights[..., None] * nodes * 0.02).sum(1), points)
 
 
-def test_nodes_at_the_hand_move_with_it_and_nothing_flows_into_the_table():
+def test_nodes_at_a_hand_that_holds_move_with_it_and_nothing_flows_into_the_table():
     data = sequences()
     network = untrained("pgnd", data).network
     with torch.no_grad():
         network.decode[-1].bias += torch.tensor([0.0, 0.0, -5.0])
     cell = network.params.cell
     nodes = torch.tensor([[[0.5, 0.5, 0.1], [0.5, 0.5, pgnd.WALL * cell], [0.9, 0.5, 0.3]]])
-    x, hand = torch.full((1, 8, 3), 0.5), torch.tensor([[0.5, 0.5]])
-    velocity = network.field(nodes, x, torch.zeros(1, 8, 64), hand, torch.tensor([[0.02, 0.0]]))[0]
-    torch.testing.assert_close(velocity[0], torch.tensor([0.1, 0.0, 0.0]))
-    assert velocity[1, 2] == 0
-    assert velocity[2, 2] < -1
+    x, centre = torch.full((1, 8, 3), 0.5), torch.tensor([[0.5, 0.5, 0.0]])
+    counts, features = torch.ones(1, 8, dtype=torch.bool), torch.zeros(1, 8, 64)
+
+    def velocity(holds: bool) -> torch.Tensor:
+        tool = pgnd.Tool(torch.tensor([[0.5, 0.5]]), torch.tensor([[0.02, 0.0]]), torch.tensor([holds]))
+        return network.field(nodes, x, counts, features, centre, tool)[0]
+
+    torch.testing.assert_close(velocity(True)[0], torch.tensor([0.02 / pgnd.FRAME, 0.0, 0.0]))
+    assert velocity(True)[1, 2] == 0
+    assert velocity(True)[2, 2] < -1
+    assert velocity(False)[0, 2] < -1, "a pusher drags nothing along"
+
+
+def test_a_pusher_is_points_of_its_own_and_a_pick_has_none():
+    network = untrained("pgnd", sequences()).network
+    past = torch.rand(1, 4, 12, 3, generator=torch.Generator().manual_seed(0)) * 0.05
+    here, there = torch.tensor([[0.08, 0.02]]), torch.tensor([[0.09, 0.02]])
+    frames = network.pusher(here, there - here)
+    assert frames.shape == (1, pgnd.HISTORY + 2, pgnd.RING * len(pgnd.HEIGHTS), 3)
+    torch.testing.assert_close(frames[0, -1, :, :2].mean(0), here[0])
+    torch.testing.assert_close(frames[0, 1:, :, 0] - frames[0, :-1, :, 0], torch.full_like(frames[0, 1:, :, 0], 0.01))
+    steps = {
+        (mode, place): network.step(past, here + place, there + place, torch.tensor([mode]))
+        for mode in (PUSH, PICK)
+        for place in (0.0, 0.1)
+    }
+    assert not torch.allclose(steps[PUSH, 0.0], steps[PUSH, 0.1], atol=1e-6), "the network sees where it is"
+    far = [network.step(past, here + d, there + d, torch.tensor([PICK])) for d in (0.5, 0.7)]
+    torch.testing.assert_close(*far, atol=0, rtol=0)
+
+
+def test_frames_between_are_on_straight_lines_and_no_step_is_long():
+    data = sequences()
+    fine = finer(data, 0.004)
+    steps = [np.linalg.norm(np.diff(fine.hand[a : b + 1], axis=0), axis=1) for a, b in fine.strokes]
+    assert max(step.max() for step in steps) <= 0.004 * 1.5
+    assert len(fine.positions) > 2 * len(data.positions)
+    for (a, b), (c, d) in zip(data.strokes, fine.strokes, strict=True):
+        np.testing.assert_allclose(fine.positions[[c, d]], data.positions[[a, b]])
+        path = np.linalg.norm(np.diff(fine.positions[c : d + 1], axis=0), axis=-1).sum(0)
+        np.testing.assert_allclose(
+            path, np.linalg.norm(np.diff(data.positions[a : b + 1], axis=0), axis=-1).sum(0), atol=1e-6
+        )
+    same = finer(data, 1.0)
+    np.testing.assert_array_equal(same.positions, np.concatenate([data.positions[a : b + 1] for a, b in data.strokes]))
 
 
 def test_the_size_of_pgnd_is_the_papers():
@@ -258,10 +293,11 @@ def test_a_tool_out_of_reach_moves_nothing_differently():
     network = untrained("gbnd", sequences()).network
     past = torch.rand(1, 4, 12, 3, generator=torch.Generator().manual_seed(0)) * 0.05
     far = torch.tensor([[0.5, 0.5]])
-    still, moving = network.step(past, far, far), network.step(past, far, far + 0.03)
+    push = torch.tensor([PUSH])
+    still, moving = network.step(past, far, far, push), network.step(past, far, far + 0.03, push)
     torch.testing.assert_close(still, moving)
     near = past[:, -1].mean(1)[:, :2]
-    assert not torch.allclose(network.step(past, near, near), network.step(past, near, near + 0.03))
+    assert not torch.allclose(network.step(past, near, near, push), network.step(past, near, near + 0.03, push))
     assert past.shape[1] == gbnd.HISTORY + 1
 
 

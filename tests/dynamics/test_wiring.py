@@ -96,14 +96,14 @@ def alone(name: str, rest: torch.Tensor = REST, picks: bool = False, now: torch.
 
 
 def step_by_step(network, x: torch.Tensor, stroke: Any) -> torch.Tensor:
-    """One scene, frame by frame, the hand at the pace of the data, and no step after its last, shorter one."""
+    """One scene, frame by frame, the hand at the pace of data or settings, and no step after its last, shorter one."""
     frames = pgnd.HISTORY + 2 if isinstance(network, pgnd.PGND) else gbnd.HISTORY + 1
     start, end = of_strokes.start(stroke), of_strokes.end(stroke)
-    length = float((end - start).norm())
+    length, pace = float((end - start).norm()), min(PACE, network.params.step)
     past = [x] * frames
-    for k in range(math.ceil(length / PACE)):
-        here, there = (start + (end - start) * min(1.0, step * PACE / length) for step in (k, k + 1))
-        past = [*past[1:], network.step(torch.stack(past, 1), here[None], there[None])]
+    for k in range(math.ceil(length / pace - 1e-3)):
+        here, there = (start + (end - start) * min(1.0, step * pace / length) for step in (k, k + 1))
+        past = [*past[1:], network.step(torch.stack(past, 1), here[None], there[None], stroke.mode[None])]
     return past[-1]
 
 

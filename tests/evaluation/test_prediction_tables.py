@@ -17,6 +17,7 @@ from piegraph_cli.evaluation.tables import (
     summarise_scores,
     table_lines,
 )
+from piegraph_cli.text import plain
 
 NAN = float("nan")
 
@@ -87,7 +88,7 @@ def test_intervals_hold_95_of_100_means():
 
 
 def test_a_table_for_people_has_each_number_under_its_head():
-    lines = table_lines(summarise({"one": [FIRST], "other": [OTHER | {"pd_truth": np.full(4, NAN)}]}), [])
+    lines = plain(table_lines(summarise({"one": [FIRST], "other": [OTHER | {"pd_truth": np.full(4, NAN)}]}), []))
     assert " ".join(lines[0].split()) == "H model windows PD [cm] CD [cm] S [cm2] CD+S PD truth [cm]"
     assert lines[1].split() == ["1", "one", "3", "3.50", "[2.00,", "5.00]", "35.00", "350.00", "385.00", "1.75"]
     assert lines[2].split() == ["1", "other", "3", "4.00", "[4.00,", "4.00]", "40.00", "400.00", "440.00", "-"]
@@ -108,7 +109,7 @@ def test_scores_are_pooled_over_sequences_by_name():
     assert (near["score"], near["mean"], near["p90"]) == ("near", 2, pytest.approx(2.8))
     skewed = summarise_scores([score(["x"] * 4, [0.0, 0.0, 1.0, 7.0])])[0]
     assert (skewed["mean"], skewed["median"], skewed["p90"]) == (2, 0.5, pytest.approx(5.2))
-    text = table_lines(summarise({"one": [FIRST]}), [skewed])
+    text = plain(table_lines(summarise({"one": [FIRST]}), [skewed]))
     assert text[-2].split() == ["against", "the", "truth", "values", "mean", "median", "p90"]
     assert text[-1].split() == ["x", "4", "2.000", "0.500", "5.200"]
 

@@ -37,7 +37,7 @@ MODULES = (
     "workspace",
     "stages",
 )
-PICTURES = ("figures.py", "trial_figures.py", "overlays.py", "report.py", "view.py")
+PICTURES = ("figures.py", "trial_figures.py", "overlays.py", "top_view.py", "colors.py", "view.py")
 """What people look at: a test need not notice that a line is wider."""
 TESTS = (
     ("evaluation", ("tests/evaluation", "tests/experiments")),

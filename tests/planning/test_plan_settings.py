@@ -45,10 +45,13 @@ CHANGES = {
     "pusher_radius": (0.02, "candidates"),
     "margin": (0.006, "candidates"),
     "workspace": ((-0.06, 0.45, -0.45, 0.45, -0.02, 0.35), "costs"),
+    "keep_out": ("-0.45,-0.06,-0.45,0.45,0,0.1", "costs"),
+    "retreat": (0.5, "costs"),
 }
 """Another value of each setting, and what it is the first to change of what `observed` lists in order."""
 OF_MODELS = dict.fromkeys(PredictionParams.model_fields, 0.5) | {"iterations": 3, "tension_only": True}
-OF_THE_STAGE = {"state", "goal", "goal_pose", "episodes", "table", "frame", "cameras"}
+OF_THE_STAGE = {"state", "goal", "goal_pose", "goal_at", "episodes", "table", "frame", "cameras"}
+OF_THE_PATH = {"approach_height", "speed"}
 BASES = {"temperature": MPPI, "noise": MPPI}
 
 
@@ -100,7 +103,7 @@ ORDER = [
 
 @pytest.mark.parametrize("field", [*CHANGES, *OF_MODELS])
 def test_every_setting_changes_what_it_is_a_setting_of_and_nothing_before(field):
-    assert {*CHANGES, *OF_MODELS, *OF_THE_STAGE} == set(PlanParams.model_fields)
+    assert {*CHANGES, *OF_MODELS, *OF_THE_STAGE, *OF_THE_PATH} == set(PlanParams.model_fields)
     value, first = CHANGES.get(field, (OF_MODELS.get(field), "model"))
     base = BASES.get(field, {})
     before, after = observed(**base), observed(**base | {field: value})

@@ -174,9 +174,13 @@ def test_picks_start_at_a_particle_and_carry_far_enough():
 def test_the_greedy_planner_carries_the_worst_particle_to_its_place():
     goal = SQUARE.clone()
     goal[7, :2] += torch.tensor([0.2, 0.1])
-    plan = put_worst_right(SQUARE, goal, make_cost("distance", goal, 36))
+    cost = make_cost("distance", goal, 36)
+    plan = put_worst_right(SQUARE, goal, cost, PICKS)
     torch.testing.assert_close(plan.strokes[0].ends, torch.stack([SQUARE[7, :2], goal[7, :2]]))
     assert plan.strokes.mode[0] == PICK
+    x, y = (SQUARE[7, :2] + goal[7, :2]).tolist()
+    between = (x / 2 - 0.01, x / 2 + 0.01, y / 2 - 0.01, y / 2 + 0.01, 0.0, 0.3)
+    assert put_worst_right(SQUARE, goal, cost, replace(PICKS, keep_out=(between,))) is None
 
 
 def test_cem_ends_when_its_elites_are_as_good_as_the_best():

@@ -384,3 +384,13 @@ def test_a_further_kind_is_read_by_its_reader(tmp_path):
     np.testing.assert_array_equal(read_points(path, 0, {".h5": lambda path: FRAMES}), FRAMES[0])
     with pytest.raises(DataError, match=r"use \.ply, \.npz, \.h5"):
         read_points(stored(tmp_path, b"", "cloud.xyz"), 0, {".h5": lambda path: FRAMES})
+
+
+def test_an_array_of_an_npz_may_be_named(tmp_path):
+    path = tmp_path / "all.npz"
+    np.savez(path, one=FRAMES[0], name=np.zeros(3), more=np.stack([FRAMES[0], FRAMES[0] + 1]))
+    np.testing.assert_array_equal(read_points(path, None, {}, "one"), FRAMES[0])
+    np.testing.assert_array_equal(read_points(path, 1, {}, "more"), FRAMES[0] + 1)
+    for key, message in (("name", r"its array name is float64 \[3\], not points"), ("none", "has no array none")):
+        with pytest.raises(DataError, match=message):
+            read_points(path, None, {}, key)

@@ -10,10 +10,10 @@ from piegraph_cli.environments.rig import camera_rig
 from piegraph_cli.perception.look import LookSettings, look
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.told import stroke_in
 from piegraph_cli.recording.ground import level, moved, rest_on
 from piegraph_cli.recording.params import IngestParams, ReadParams
 from piegraph_cli.stages import open_run, score
-from piegraph_cli.stages.plan import stroke_in
 from piegraph_cli.workspace.artifact import read_artifact, write_artifact
 from tests.commands.inside import piegraph, piegraph_json
 from tests.recording.table_scene import BLOCK, make_views, with_poses, write_views
@@ -180,7 +180,7 @@ def test_a_plan_is_made_on_the_table_and_told_in_the_frame_that_was_asked_for(pl
 def test_a_cloud_that_floats_is_said_and_a_robot_that_nobody_knows_is_refused(planner):
     run, _, folder = planner
     floats = piegraph(*ask(run, "--state", folder / "now.npz", "--table", 0)).stderr
-    assert "the object of" in floats
+    assert "the object lies" in floats
     assert "mm above the table\n  try: --table HEIGHT" in floats
     sunk = piegraph(*ask(run, "--state", folder / "here.npz")).stderr
     assert "and more below the table" in sunk

@@ -8,6 +8,7 @@ from piegraph_cli.stages import open_run
 from piegraph_cli.stages.score import read_truth
 from piegraph_cli.workspace.artifact import read_artifact
 from tests.cli import piegraph, piegraph_json
+from tests.envelopes import checked
 from tests.stages.make_recording import make_recording
 
 
@@ -67,7 +68,7 @@ def test_one_that_is_gone_is_named_and_what_was_read_of_it_stays(days, tmp_path)
     moved = days[0].rename(tmp_path / "archive")
     done = piegraph("ingest", "--run", run, "--json")
     assert f"the recording {days[0]} is gone: its 2 sequences stay as they were read" in done.stderr
-    assert {o["state"] for o in json.loads(done.stdout)["outcomes"]} == {"cached"}
+    assert {o["state"] for o in checked(done.stdout)["result"]["outcomes"]} == {"cached"}
     assert set(ingest(run, moved, days[1]).values()) == {"cached"}, "content counts, not the place"
     assert read_truth(open_run(run), "seq 0") is None
 

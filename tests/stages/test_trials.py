@@ -19,6 +19,7 @@ from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 from tests.cli import PROGRAM, piegraph, piegraph_json
+from tests.report.page import Page
 
 STAGE = STAGES["trials"]
 SMALL = {"envs": ["tblock"], "models": ["piegraph", "static"], "goals": 1, "seeds": 2, "strokes": 2}
@@ -225,7 +226,7 @@ def test_killed_trials_go_on(runs):
         )
 
 
-def test_the_command_prints_one_object_and_the_report_has_pictures(runs):
+def test_the_command_prints_one_object_and_the_report_has_plots(runs):
     arguments = ["--models", "piegraph,static", "--goals", 1, "--seeds", 3, "--strokes", 3, "--envs", "tblock"]
     found = piegraph_json("trials", "--run", runs / "paper", *arguments, "--jobs", 2)
     assert [(row["environment"], row["model"], row["trials"]) for row in found["results"]] == [
@@ -240,8 +241,14 @@ def test_the_command_prints_one_object_and_the_report_has_pictures(runs):
     assert [r["state"] for r in rows] == ["fresh"] * 6
     text = piegraph("run", "--run", runs / "paper").stdout
     assert "tblock.static.goal00.seed02" in text
-    pictures = piegraph_json("report", "--run", runs / "paper")["pictures"]
-    assert {Path(p).name for p in pictures} == {"trials.png", "trials_success.png", "trials_distance.png"}
+    found = piegraph_json("report", "--run", runs / "paper")
+    ((part, figure),) = [(verdict["part"], verdict["figure"]) for verdict in found["verdicts"]]
+    assert part == "trials"
+    assert figure.startswith("piegraph solves ")
+    page = Page(Path(found["report"]))
+    assert len(page.all("svg")) == 3, "boxes, success over thresholds, distance over strokes"
+    assert "piegraph" in page.text("tbody")
+    assert page.all("article") == []
 
 
 def test_trials_come_last_in_a_recipe_that_trains():

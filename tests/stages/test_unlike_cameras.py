@@ -13,7 +13,8 @@ from piegraph_cli.recording.camera import DepthView
 from piegraph_cli.recording.layout import write_cameras, write_frame, write_times
 from piegraph_cli.recording.params import IngestParams
 from piegraph_cli.recording.sequence import read_sequence
-from piegraph_cli.report.draw import _mask_sheet
+from piegraph_cli.report.pictures import SEQUENCE
+from piegraph_cli.report.sequence import Seen, draw_sequence
 from piegraph_cli.stages import fuse, segment
 from tests.perception.scene import pushing_sequence, render, ring_camera
 from tests.stages.chain import artifact, context
@@ -85,8 +86,9 @@ def test_lenses_come_through_padded(chain):
 
 
 def test_pictures_of_all_sizes_fit_on_a_sheet(chain):
-    sheet = _mask_sheet(chain.frames, chain.masks, chain.hands, [0, 1])
-    assert sheet.shape == (2 * 159 + 4, 3 * 256 + 8, 3)
+    seen = Seen("take", frames=chain.frames, masks=chain.masks, hands=chain.hands)
+    _, sheet = draw_sequence(seen, SEQUENCE, "p")
+    assert (sheet.height, sheet.width) == (FRAMES * (159 + 4) - 4, 3 * 256 + 8)
     one, other = np.zeros((4, 9, 3), np.uint8), np.full((6, 2, 3), 7, np.uint8)
     sheet = tile([[one, other]], gap=1)
     assert sheet.shape == (6, 19, 3)

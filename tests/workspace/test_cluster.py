@@ -1,6 +1,5 @@
 """Trials on a Ray cluster of two nodes, one of which is killed while it works."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -17,6 +16,7 @@ from piegraph_cli.workspace.execute import Options, run_stage
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 from tests.cli import PATIENCE, PROGRAM, piegraph
+from tests.envelopes import checked
 
 SETTINGS = {"envs": ["tblock"], "models": ["piegraph"], "goals": 3, "seeds": 4, "strokes": 6}
 QUICK_TO_NOTICE = {
@@ -92,7 +92,7 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     wait_for(lambda: not Path(f"/proc/{worker}").exists())
     names = sorted(path.name for path in done.iterdir())
     assert names == [f"tblock.piegraph.goal0{g}.seed0{s}.h5" for g in range(3) for s in range(4)]
-    found = json.loads(out)
+    found = checked(out)["result"]
     assert [row["trials"] for row in found["results"]] == [12], "each trial once in the results"
     assert found["failed"] == []
     alone = runs / "alone"

@@ -45,7 +45,8 @@ def test_status_counts_and_lists_what_is_not_fresh(copied):
     found = piegraph("status", "--run", folder).stdout.splitlines()
     assert found[0].split() == ["stage", "fresh", "stale", "missing", "failed", "on", "disk"]
     assert found[1].split()[:5] == ["simulate", "4", "-", "-", "-"]
-    assert len(found) == 7, "five stages and their sum"
+    assert found[7] == "", "five stages and their sum"
+    assert found[8:] == [f"next: piegraph report --run {folder}", f"or: piegraph view --run {folder}"]
     (folder / "tracks" / "sequence_0001.h5").unlink()
     changed(folder, "plan", samples=13).save_recipe()
     value = piegraph_json("status", "--run", folder)

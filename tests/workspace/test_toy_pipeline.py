@@ -1,7 +1,6 @@
 """What a workspace does, on a toy pipeline in this process: what is made, kept, made again, left out, told and cleaned."""
 
 import dataclasses
-import io
 import json
 import threading
 from collections import Counter
@@ -15,9 +14,9 @@ from piegraph_cli.workspace import execute, known
 from piegraph_cli.workspace.artifact import read_artifact, read_header, read_key
 from piegraph_cli.workspace.clean import find_waste, remove
 from piegraph_cli.workspace.execute import Checkpoint, LeftOut, Options, run_chain, run_stage, run_unit
+from piegraph_cli.workspace.progress import silent
 from piegraph_cli.workspace.recipe import Recipe, load_recipe, parse_setting
 from piegraph_cli.workspace.run import FROM_OTHERS, Run
-from piegraph_cli.workspace.stage import Context
 from piegraph_cli.workspace.survey import count_states, foresee, status
 from tests.hdf5 import edited
 from tests.workspace.toy import CALLS, SEEN, TABLE, open_toy, prepare
@@ -86,8 +85,7 @@ def test_a_chain_makes_every_artifact_from_those_before_it(folder):
     inputs, params, context = SEEN["polish"]
     assert list(inputs) == ["stones"]
     assert inputs["stones"]["weight"].tolist() == [15, 15]
-    assert (params.shine, context.unit, context.device, context.quiet) == (2.0, "s2", "cpu", True)
-    assert SEEN["pile"][2].quiet is False, "a unit alone shows its own progress"
+    assert (params.shine, context.unit, context.device, context.tell) == (2.0, "s2", "cpu", silent)
     gathered = SEEN["pile"][0]["pebbles"]
     assert (len(gathered), list(gathered)) == (3, UNITS)
     with pytest.raises(KeyError):
@@ -245,7 +243,7 @@ def test_what_all_failed_has_nothing_to_be_gathered_from(folder):
     with pytest.raises(DataError, match="no stone has pebbles: s0: the stone broke") as caught:
         run_chain(run, None, Options())
     assert "take another" not in str(caught.value)
-    assert f"piegraph status --run {folder}" in caught.value.hint
+    assert f"piegraph status --run '{folder}'" in caught.value.hint
 
 
 def test_a_bug_is_told_as_one_with_its_place(folder, caplog):
@@ -370,7 +368,7 @@ def test_inputs_that_are_not_fresh_are_refused_with_the_command_that_makes_them(
     with pytest.raises(InputError, match="pebbles is stale") as caught:
         run.read("pebbles", "s0")
     assert caught.value.where == str(made / "pebbles" / "s0.h5")
-    assert caught.value.hint == f"piegraph run --run {made} --until polish"
+    assert caught.value.hint == f"piegraph run --run '{made}' --until polish"
     with pytest.raises(InputError, match="heap is stale") as caught:
         run.read("heap")
     assert caught.value.hint == "pile it in toy run"
@@ -473,16 +471,12 @@ def test_waste_is_what_nothing_uses(made):
     Checkpoint(made / "checkpoints" / "pile.None.h5", PILE, "other").save({"done": np.array(1)})
     Checkpoint(made / "checkpoints" / "pile.gone.h5", PILE, "other").save({"done": np.array(1)})
     found = {one.path.relative_to(made).as_posix(): one for one in find_waste(open_toy(made))}
-    reasons = {name: one.reason for name, one in found.items() if not name.startswith(".locks")}
+    reasons = {name: one.reason for name, one in found.items()}
     assert reasons == {
         "stones/s9.h5": "of no stone of this run",
         "heap.h5": "stale: settings changed: steps",
         "checkpoints/pile.None.h5": "checkpoint that nothing goes on from",
         "checkpoints/pile.gone.h5": "checkpoint of nothing in this run",
-    }
-    assert {name for name in found if name.startswith(".locks")} == {
-        f".locks/{name}.lock"
-        for name in ("heap", "failures.json", *(f"{a}.{unit}" for a in ("stones", "pebbles") for unit in UNITS))
     }
     assert found["stones/s9.h5"].lock == made / ".locks" / "stones.s9.lock"
     assert found["heap.h5"].bytes == (made / "heap.h5").stat().st_size
@@ -491,26 +485,6 @@ def test_waste_is_what_nothing_uses(made):
     assert not any(one.path.exists() for one in found.values())
     assert (made / "notes.h5").exists()
     assert find_waste(open_toy(made)) == []
-
-
-def test_progress_shows_what_it_is_of_and_gives_every_item(folder, monkeypatch):
-    import tqdm
-
-    seen = []
-    real = tqdm.tqdm
-
-    def noting(items, **options):
-        seen.append(options)
-        return real(items, **options | {"file": io.StringIO()})
-
-    monkeypatch.setattr(tqdm, "tqdm", noting)
-    run, checkpoint = open_toy(folder, gather={}), Checkpoint(folder / "a.h5", PILE, "k")
-    for unit, quiet in (("s0", True), (None, False)):
-        assert list(Context(run, unit, "cpu", checkpoint, quiet).progress("abc", "shake", 3)) == ["a", "b", "c"]
-    assert seen == [
-        {"desc": "shake s0", "total": 3, "leave": False, "disable": True, "delay": 1},
-        {"desc": "shake", "total": 3, "leave": False, "disable": None, "delay": 1},
-    ]
 
 
 def test_an_artifact_of_another_kind_in_the_place_of_one_is_made_again(made):

@@ -8,8 +8,8 @@ import pytest
 from piegraph_cli.params import PUSH
 from piegraph_cli.planning.episode import play
 from piegraph_cli.planning.params import PlanParams, TrialParams
+from piegraph_cli.planning.told import step_arrays
 from piegraph_cli.stages import plan, steps, trials
-from piegraph_cli.stages.steps import step_arrays
 from tests.planning.block import Block
 
 PARAMS = PlanParams(model="static", samples=6, cem_iterations=2, horizon=3, strokes=2)

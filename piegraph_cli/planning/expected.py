@@ -1,0 +1,140 @@
+"""Whether what a plan is asked about is the object that its model was trained on, the whole of it, and nothing else.
+
+A look judges its own cloud (`perception.judgement`); here the same size check is made on clouds that come as files or
+arrays, where no image tells what else is in them.
+"""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from piegraph_cli.dynamics.models import Trained
+from piegraph_cli.errors import DataError
+from piegraph_cli.perception.size import check_size
+from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
+from piegraph_cli.physics.springs import build_springs
+
+CELL = 0.01
+"""Metres: side of the squares of the table by which areas are compared."""
+APART = 2
+"""Squares from one to the next of the same thing, at most."""
+ON_TABLE = 0.005
+"""Metres from z = 0 within which a point may be the table's."""
+RIM = 0.4
+"""Area at the table's height, as a share of the object's, from which the table is in the cloud: a rim always is."""
+DENSE = 8
+"""Points for each particle from which squares without points are empty."""
+ABOVE = 0.03
+"""Metres above one and a half times the trained object's height from which something else stands there."""
+OTHER = 0.15
+"""Share of the points from which what lies apart is another thing, no stray points."""
+FOLDED = 1.65
+"""Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
+
+
+UNLIKE_REMEDY = "look whether the cloud holds the whole object and nothing else; else train on this one"
+
+
+def check_object(cloud: np.ndarray, particles: np.ndarray, sizes: Sizes) -> list[str]:
+    """Warnings about an object seen as a cloud [P, 3] with particles [N, 3] (m), for a model of an object of these sizes.
+
+    Raises `DataError` where it is not that object, or more than it is in the cloud, with the cause where one is found.
+    """
+    check = check_size(size_of(particles), sizes, ())
+    found = _above(cloud, sizes)
+    if not found and len(cloud) >= DENSE * len(particles):
+        found = _table_in(cloud, sizes) or _beside(cloud, len(particles), sizes)
+    if check.verdict == "good" and not found:
+        return []
+    bad = check.verdict == "bad"
+    cause, remedy = found or (f"this {'is not' if bad else 'may not be'} the trained object", UNLIKE_REMEDY)
+    if bad:
+        raise DataError(f"{cause}: {check.text}", "the object now", remedy)
+    return [f"{cause}: {check.text}\n  try: {remedy}"]
+
+
+def check_goal(goal: np.ndarray, count: int, sizes: Sizes) -> list[str]:
+    """A word on a goal cloud [G, 3] (m) that is no such object, or more: a goal is a wish, so it is never refused for that.
+
+    Clouds of fewer points than the object's `count` of particles are left alone: they are parts of it, or places.
+    """
+    if len(goal) < count:
+        return []
+    try:
+        said = check_object(goal, choose_particles(goal, count), sizes)
+    except DataError as error:
+        said = [f"{error.message}\n  try: {error.hint}"]
+    return [f"the goal: {text}" for text in said]
+
+
+def check_folds(particles: np.ndarray, trained: Trained, radius: float) -> list[str]:
+    """A word where layers of an object [N, 3] (m) that lie on one another will be taken for joined."""
+    if trained.rest is None or trained.sizes is None or not trained.sizes.bends:
+        return []
+    now, rest = (len(build_springs(points, radius).pairs) for points in (particles, trained.rest))
+    if now < FOLDED * rest:
+        return []
+    return [
+        f"the object is folded: layers that lie on one another count as joined ({now} springs, {rest} at rest), and "
+        "predictions are less sure\n  try: unfold it, or give particles that were tracked since it lay flat "
+        "(--state TRACKS.h5:FRAME)"
+    ]
+
+
+def _cells(points: np.ndarray) -> set[tuple[int, int]]:
+    return set(map(tuple, np.unique(np.floor(points[:, :2] / CELL).astype(int), axis=0).tolist()))
+
+
+def _table_in(cloud: np.ndarray, sizes: Sizes) -> tuple[str, str] | None:
+    """Cause and remedy where squares of the table are in the cloud [P, 3] beside a thing that stands higher."""
+    if sizes.least.height < 2 * ON_TABLE + THICKNESS / 2:
+        return None  # as flat as the table's noise: size alone tells
+    high = _cells(cloud[cloud[:, 2] > 2 * ON_TABLE])
+    near = {(i + a, j + b) for i, j in high for a in (-1, 0, 1) for b in (-1, 0, 1)}
+    bare = _cells(cloud[np.abs(cloud[:, 2]) < ON_TABLE]) - near
+    if len(bare) <= RIM * len(high):
+        return None
+    return (
+        f"the table is in the cloud ({len(bare) * CELL**2 * 1e4:.0f} cm2 of it beside {len(high) * CELL**2 * 1e4:.0f} cm2 "
+        "that stand higher)",
+        f"cut away what lies below z = {ON_TABLE * 1000:g} mm, or let piegraph look find the object in images",
+    )
+
+
+def _above(cloud: np.ndarray, sizes: Sizes) -> tuple[str, str] | None:
+    """Cause and remedy where something reaches far above what the object ever did."""
+    top, known = float(np.percentile(cloud[:, 2], 99.5)), sizes.most.height
+    if top < 1.5 * known + ABOVE:
+        return None
+    return (
+        f"something reaches {top * 100:.0f} cm high, the trained object {known * 100:.1f} cm: a hand or a tool in the cloud",
+        "take it away, or cut it out of the cloud",
+    )
+
+
+def _beside(cloud: np.ndarray, count: int, sizes: Sizes) -> tuple[str, str] | None:
+    """Cause and remedy where something lies beside the object."""
+    parts = [part for part in _parts(cloud) if len(part) >= max(count, OTHER * len(cloud))]
+    if len(parts) < 2:
+        return None
+    of_object = next((part for part in parts if _fits(part, count, sizes)), parts[0])
+    other = next(part for part in parts if part is not of_object)
+    x, y = other[:, :2].mean(0)
+    return (
+        f"{len(parts)} things are in the cloud, one more around x, y = ({x:+.2f}, {y:+.2f}) m: a hand or another object",
+        "give the cloud of the object alone",
+    )
+
+
+def _fits(part: np.ndarray, count: int, sizes: Sizes) -> bool:
+    return check_size(size_of(choose_particles(part, count)), sizes, ()).verdict != "bad"
+
+
+def _parts(cloud: np.ndarray) -> list[np.ndarray]:
+    """The parts of a cloud [P, 3] between which two squares of the table are empty, the one with most points first."""
+    squares, of_point = np.unique(np.floor(cloud[:, :2] / CELL).astype(int), axis=0, return_inverse=True)
+    near = cKDTree(squares).query_pairs(APART, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(squares),) * 2)
+    part = connected_components(links, directed=False)[1][of_point.ravel()]
+    return sorted((cloud[part == k] for k in np.unique(part)), key=len, reverse=True)

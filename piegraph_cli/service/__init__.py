@@ -1,0 +1,1 @@
+"""A warm model that answers: plan, predict, look and info, over JSON lines or HTTP."""

@@ -1,0 +1,174 @@
+"""What a plan is asked about is held against the trained object: other things, a table or a hand are said, good clouds not."""
+
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+
+from piegraph_cli import environments
+from piegraph_cli.dynamics.models import Trained
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.physics.particles import Sizes, _rectangle, choose_particles
+from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
+from piegraph_cli.planning.expected import check_folds, check_object
+from piegraph_cli.planning.goals import Goal, move_in_plane
+from piegraph_cli.planning.model import Model
+from piegraph_cli.planning.params import PlanParams
+from tests.planning.test_goals import sampled
+
+RNG = np.random.default_rng(0)
+STROKES = {"tblock": 1, "rope-bendy": 3, "tshirt": 2, "toy": 2, "rope-stiff": 2}
+
+
+@functools.cache
+def seen(name: str) -> tuple[Sizes, np.ndarray, tuple[np.ndarray, ...]]:
+    """The sizes of an object over a few strokes, it at rest, and what is seen of it in others, with noise."""
+    env = environments.make(name)
+    states, looks = [], []
+    for seed in (0, 1):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        for k in range(STROKES[name] + 1):
+            if k:
+                env.step(env.sample_stroke(rng))
+            states.append(env.particles()) if seed == 0 else looks.append(
+                sampled(env.surface(), env.triangles, 3000, k) + RNG.normal(0, 0.0015, (3000, 3)).astype(np.float32)
+            )
+    return Sizes.of(states), states[0], tuple(looks)
+
+
+def check(cloud: np.ndarray, sizes: Sizes) -> list[str]:
+    return check_object(cloud, choose_particles(cloud, 50), sizes)
+
+
+@pytest.mark.parametrize("name", STROKES)
+def test_the_trained_object_is_silent_in_every_pose_and_bend(name):
+    sizes, _, looks = seen(name)
+    for look in looks:
+        for yaw in (0.0, 1.0, 2.5):
+            assert check(move_in_plane(look, (0.1, -0.1, yaw)), sizes) == []
+        assert check(look[RNG.permutation(len(look))[:450]], sizes) == [], "seen sparsely"
+
+
+def boxed(x: float, y: float, z: tuple[float, float], at: Sequence[float] = (0, 0), count: int = 1500) -> np.ndarray:
+    low, high = [at[0] - x / 2, at[1] - y / 2, z[0]], [at[0] + x / 2, at[1] + y / 2, z[1]]
+    return RNG.uniform(low, high, (count, 3)).astype(np.float32)
+
+
+def test_another_object_or_more_than_the_object_is_said_with_its_cause():
+    sizes, _, (cloud, *_) = seen("tblock")
+    middle = cloud.mean(0)
+    table = boxed(0.3, 0.3, (-0.002, 0.002), middle, 4000)
+    hand = boxed(0.06, 0.06, (0.04, 0.15), middle)
+    other = boxed(0.1, 0.08, (0, 0.03), middle + np.array([0.3, 0, 0]))
+    for wrong, message in (
+        (boxed(0.34, 0.12, (0, 0.035)), r"not the trained object: it is 3[34]\.. × 1[12]\.. cm.*20\.0 × 20\.0 cm"),
+        (cloud * [1.5, 1.5, 1], "not the trained object"),
+        (cloud * 0.6, "not the trained object"),
+        (np.concatenate([cloud, table]), "the table is in the cloud"),
+        (np.concatenate([cloud, hand]), r"something reaches 1[45] cm high, the trained object 3\.5 cm: a hand"),
+        (np.concatenate([cloud, other]), "2 things are in the cloud"),
+    ):
+        with pytest.raises(DataError, match=message) as caught:
+            check(wrong.astype(np.float32), sizes)
+        assert (caught.value.exit_code, bool(caught.value.hint)) == (3, True)
+    rim = np.concatenate([cloud, boxed(0.24, 0.24, (-0.002, 0.002), middle, 4000)])
+    assert check(cloud[:, [1, 0, 2]] * [1.25, 1.25, 1], sizes)[0].startswith(
+        "this may not be the trained object: it is 2"
+    )
+    with pytest.raises(DataError, match="the table"):
+        check(rim.astype(np.float32), sizes)
+
+
+def test_a_goal_that_is_another_object_is_said_and_planned_for_all_the_same():
+    model = Model("static", trained("tblock"), PlanParams(samples=8, cem_iterations=1))
+    cloud = seen("tblock")[2][0]
+    assert model.plan(cloud, goal=cloud + np.float32([0.1, 0, 0])).warnings == ()
+    (said,) = model.plan(cloud, goal=boxed(0.34, 0.12, (0, 0.035), [0.1, 0])).warnings
+    assert said.startswith("the goal: this is not the trained object: it is 3")
+    assert model.plan(cloud, goal=cloud[:20], cost="chamfer").warnings == ()
+
+
+def test_a_bending_thing_may_be_smaller_but_not_longer():
+    sizes, _, (cloud, *_) = seen("rope-bendy")
+    assert check((cloud * [0.7, 0.7, 1]).astype(np.float32), sizes) == []
+    with pytest.raises(DataError, match="another length"):
+        check((cloud * [1.5, 1.5, 1]).astype(np.float32), sizes)
+    with pytest.raises(DataError, match="2 things"):
+        check(np.concatenate([cloud, boxed(0.1, 0.08, (0, 0.02), cloud.mean(0) + np.array([0.35, 0, 0]))]), sizes)
+
+
+def trained(name: str) -> Trained:
+    sizes, rest, _ = seen(name)
+    return Trained(torch.nn.Identity(), None, 0.01, (0, 1), len(rest), rest, sizes)  # type: ignore[arg-type]
+
+
+def test_layers_that_lie_on_one_another_are_said_of_what_bends():
+    flat = trained("tshirt")
+    half = np.where(flat.rest[:, :1] > np.median(flat.rest[:, 0]), -1, 1)
+    middle = np.median(flat.rest[:, 0])
+    folded = (flat.rest - [middle, 0, 0]) * np.column_stack([half, half * 0 + 1, half * 0 + 1]) + [0, 0, 0.003]
+    (said,) = check_folds(folded.astype(np.float32), flat, 0.05)
+    assert said.startswith("the object is folded")
+    assert check_folds(flat.rest, flat, 0.05) == []
+    stiff = trained("tblock")
+    assert check_folds((stiff.rest * 0.5).astype(np.float32), stiff, 0.05) == [], "it does not bend"
+
+
+def test_the_narrowest_rectangle():
+    grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), -1).reshape(-1, 2)
+    for yaw in np.linspace(0, 3, 7):
+        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        assert _rectangle(grid @ turn) == pytest.approx((3, 2))
+    assert _rectangle(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == pytest.approx((8**0.5, 0), abs=1e-9)
+    assert _rectangle(np.zeros((2, 2))) == (0, 0)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, 2.2, -1.5, 3.1])
+def test_a_pose_in_the_world_is_that_of_the_trained_rest_shape(yaw):
+    rest = trained("tblock").rest
+    env = environments.make("tblock")
+    env.reset(seed=4)
+    cloud = sampled(env.surface(), env.triangles, 3000, 0)
+    particles = choose_particles(cloud, 50).astype(np.float32)
+    found = Goal.at((0.12, -0.07, yaw), rest, cloud, particles)
+    assert found.particles is not None
+    assert len(found.particles) == 1
+    placed = move_in_plane(rest, (0, 0, yaw)) - rest[:, :2].mean(0) @ np.eye(2, 3) + [0.12, -0.07, 0]
+    now = env.particles()  # the same particles as at rest
+    truth = moved_in_plane(particles[:, :2], planar_fit(now[:, :2], placed[:, :2]))
+    assert np.linalg.norm(found.particles[0, :, :2] - truth, axis=1).mean() < 0.004
+
+
+def test_what_is_bent_is_measured_against_the_rest_shape_there():
+    rest = np.column_stack([np.linspace(-0.2, 0.2, 50), np.zeros(50), np.full(50, 0.01)]).astype(np.float32)
+    angle = RNG.uniform(0, 4.0, 2000)
+    bent = np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), np.full(2000, 0.01)]).astype(np.float32)
+    goal = Goal.at((0.3, 0.1, np.pi / 2), rest, bent, choose_particles(bent, 50))
+    assert goal.particles is None
+    np.testing.assert_allclose(goal.points[:, 0], 0.3, atol=1e-6)
+    np.testing.assert_allclose(np.sort(goal.points[:, 1]), np.linspace(-0.1, 0.3, 50), atol=1e-6)
+
+
+def test_the_pose_goes_where_the_table_is_and_needs_a_trained_model():
+    cloud = seen("tblock")[2][0]
+    with pytest.raises(UsageError, match="static knows no rest shape"):
+        Model("static", None).plan(cloud, goal_at=(0, 0, 0))
+    model = Model("static", trained("tblock"), PlanParams(samples=8, cem_iterations=1))
+    plain = model.plan(cloud, goal_at=(0.1, 0.1, 0.3))
+    raised = model.plan(cloud + np.float32([0, 0, 0.2]), goal_at=(0.1, 0.1, 0.3), table=(0.2, 0, 0))
+    np.testing.assert_allclose(raised.goal, plain.goal, atol=1e-5)
+    np.testing.assert_allclose(plain.goal[:, :2].mean(0), [0.1, 0.1], atol=0.01)
+
+
+def test_particles_that_were_tracked_bring_their_rest_shape():
+    model = Model("static", trained("tshirt"), PlanParams(samples=8, cem_iterations=1))
+    rest = model.trained.rest
+    folded = rest * np.float32([0.9, 1, 1])
+    found = model.plan(folded, goal_pose=(0.1, 0, 0), rest=rest)
+    np.testing.assert_array_equal(found.start, folded)
+    assert found.warnings == ()
+    with pytest.raises(DataError, match="50 particles, 49 at rest"):
+        model.plan(folded, goal_pose=(0.1, 0, 0), rest=rest[1:])

@@ -51,11 +51,14 @@ class Recipe:
             section[table] = (before if isinstance(before, dict) else {}) | {inner: value} if dot else value
         checked = _validate(stage, section, where)
         section = checked.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        section |= {name: place for name, place in checked.placed(base).items() if name in values}
-        for name, several in checked:
-            if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
-                places = [os.path.realpath(base / file) for file in several]
-                section[name] = places if isinstance(section[name], list) else places[0]
+        try:
+            section |= {name: place for name, place in checked.placed(base).items() if name in values}
+            for name, several in checked:
+                if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
+                    places = [os.path.realpath(base / file) for file in several]
+                    section[name] = places if isinstance(section[name], list) else places[0]
+        except ValueError as error:  # a null byte
+            raise UsageError(f"{stage.name}: a path that cannot be: {error}", where, "correct it") from None
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:

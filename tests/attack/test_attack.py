@@ -255,6 +255,11 @@ def test_an_npz_that_unpacks_to_far_more_than_it_has_is_refused(tmp_path):
 def test_a_recipe_that_is_no_file_or_without_end_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "deep.toml").write_text("[ingest]\nrecording = " + "[" * 100_000)
-    for name, message in (("pipe.toml", "not a regular file"), ("deep.toml", "not a readable TOML file")):
+    (tmp_path / "null.toml").write_text('[ingest]\nrecording = "a\\u0000b"\n')
+    for name, message in (
+        ("pipe.toml", "not a regular file"),
+        ("deep.toml", "not a readable TOML file"),
+        ("null.toml", "a path that cannot be"),
+    ):
         with pytest.raises(UsageError, match=message):
             load_recipe(tmp_path / name, STAGES)

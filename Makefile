@@ -13,7 +13,9 @@ EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise
 
 SAMPLE ?= 150
 
-.PHONY: setup demo test smoke lint tables mutants libraries browser clean reproduce troubles $(EXPERIMENTS)
+SECONDS ?= 600
+
+.PHONY: setup demo test smoke lint tables mutants attack libraries browser clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -68,6 +70,10 @@ smoke: setup
 # do the tests notice mistakes? SAMPLE small changes to the code, one at a time; see docs/testing.md
 mutants: setup
 	$(BIN)/python -m tests.mutation.run --sample $(SAMPLE) --jobs $(JOBS)
+
+# damaged and hostile files of every kind for so many seconds, what became of each, and the seeds that repeat a fault
+attack: setup
+	$(BIN)/python -m tests.attack --seconds $(SECONDS)
 
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept

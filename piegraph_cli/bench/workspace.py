@@ -18,6 +18,7 @@ from piegraph_cli.workspace.known import TICK
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.schema import SCHEMA_VERSION
+from piegraph_cli.workspace.sealed import sealed
 from piegraph_cli.workspace.stage import Stage
 from piegraph_cli.workspace.survey import status
 
@@ -95,7 +96,8 @@ def make_run(folder: Path, recording: Path) -> Run:
         for unit in run.units(stage):
             path = run.path(stage.writes, unit)
             path.parent.mkdir(exist_ok=True)
-            path.write_bytes(_header(stage).replace(ANY_KEY.encode(), run.key(stage, unit).encode()))
+            image = _header(stage).replace(ANY_KEY.encode(), run.key(stage, unit).encode())
+            path.write_bytes(b"".join(sealed(image)))
     return run
 
 

@@ -38,7 +38,7 @@ def status(
 
 def _status(run: "Run", every: bool) -> Report:
     """What `status` prints: counts per stage, then units that are not fresh, or `every` one, then what to do next."""
-    from piegraph_cli.workspace.survey import STATES, count_states
+    from piegraph_cli.workspace.survey import STATES, UNCHECKED, count_states
     from piegraph_cli.workspace.survey import status as rows_of
 
     rows = rows_of(run)
@@ -51,6 +51,9 @@ def _status(run: "Run", every: bool) -> Report:
         lines += ["", _units([_unit(row["stage"], row["unit"] or "-", row["state"], row["why"]) for row in said])]
     elif any(row["state"] != "fresh" for row in rows):
         lines += ["", grouped([row for row in said if row["state"] != "fresh"], "why")]
+    unchecked = sum(row["reason"] == UNCHECKED for row in rows)
+    if unchecked:
+        lines += ["", f"{counted(unchecked, 'artifact')} {UNCHECKED}; `piegraph run --force` makes them again"]
     following = _next(run, rows)
     lines += ["", *(f"{'next' if k == 0 else 'or'}: {text}" for k, text in enumerate(following))]
     value = {"run": str(run.folder), "stages": counts, "bytes": total, "artifacts": rows, "next": following}

@@ -11,6 +11,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.motion_csv import read_rows
+from piegraph_cli.recording.text import parse_number
 from piegraph_cli.recording.timing import FASTEST, SLOWEST, UNITS
 
 NAME = "end_effector.csv"
@@ -80,9 +81,9 @@ def _numbers(row: list[str], header: list[str], where: str) -> list[float]:
     numbers = []
     for text, name in zip(row, header, strict=True):
         try:
-            numbers.append(float(text))
-        except ValueError:
-            what = f"{text.strip()!r} is no number" if text.strip() else "is empty"
+            numbers.append(parse_number(text, bounded=False))
+        except ValueError as error:
+            what = str(error) if text.strip() else "is empty"
             raise DataError(f"column {name}: {what}", where, "leave lines of lost samples out") from None
     return numbers
 

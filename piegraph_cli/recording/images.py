@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.recording.encoded import decode_image
 
 
 def join_images(encoded: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:
@@ -38,9 +39,7 @@ def decode_color(data: np.ndarray) -> np.ndarray:
     """Encoded bytes uint8 [byte] of a checked colour image to RGB uint8 [H, W, 3]."""
     import cv2
 
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
-    assert image is not None
-    return image
+    return decode_image(data, cv2.IMREAD_COLOR_RGB)
 
 
 class ImageStack:
@@ -59,16 +58,12 @@ class ImageStack:
         return (len(self.offsets) - 1) // self.cameras
 
     def _decode(self, frame: int, camera: int, flag: int) -> np.ndarray:
-        import cv2
-
         image = frame * self.cameras + camera
-        data = self.data[self.offsets[image] : self.offsets[image + 1]]
-        decoded = cv2.imdecode(data, flag) if len(data) else None
-        if decoded is None:
-            raise DataError(
-                f"{self.what} image of frame {frame}, camera {camera} cannot be decoded", hint="ingest again"
-            )
-        return decoded
+        try:
+            return decode_image(self.data[self.offsets[image] : self.offsets[image + 1]], flag)
+        except ValueError as error:
+            message = f"{self.what} image of frame {frame}, camera {camera} cannot be decoded: {error}"
+            raise DataError(message, hint="ingest again") from None
 
     def has(self, frame: int, camera: int) -> bool:
         """Whether there is such an image."""

@@ -17,12 +17,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics
+from piegraph_cli.recording.encoded import MOST_BYTES, MOST_PIXELS, decode_image
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.numbers import Number, by_number
+from piegraph_cli.recording.text import read_numbers, read_text
 
 LAYOUT_VERSION = 1
 COEFFICIENTS = (4, 5, 8, 12, 14)
 """How many numbers of distortion OpenCV knows; the first of each are the same."""
+LONGEST_NAME = 100
+"""Bytes of a camera's name."""
 SUFFIXES = {"color": (".jpg", ".jpeg", ".png"), "depth": (".png",)}
 
 
@@ -31,14 +35,14 @@ class CameraEntry(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: int = Field(gt=0, le=MOST_PIXELS)
+    height: int = Field(gt=0, le=MOST_PIXELS)
     K: list[list[float]]
     distortion: list[float] = [0.0] * 5
     depth_scale: float = Field(0.001, gt=0)
     T_world_camera: list[list[float]] | None = None
-    depth_width: int | None = Field(None, gt=0)
-    depth_height: int | None = Field(None, gt=0)
+    depth_width: int | None = Field(None, gt=0, le=MOST_PIXELS)
+    depth_height: int | None = Field(None, gt=0, le=MOST_PIXELS)
     depth_K: list[list[float]] | None = None
     depth_distortion: list[float] | None = None
     T_color_depth: list[list[float]] | None = None
@@ -69,15 +73,14 @@ def cameras_file(sequence: Path) -> Path:
 
 def read_cameras_file(path: Path) -> CamerasFile:
     """A cameras.json. Raises `DataError` naming the field that is wrong."""
+    text = read_text(path, "copy or write it again, as UTF-8")
     try:
-        entries = CamerasFile.model_validate_json(path.read_text())
+        entries = CamerasFile.model_validate_json(text)
     except ValidationError as error:
         problem = error.errors()[0]
         place = ".".join(str(p) for p in problem["loc"])
         message = f"{place}: {problem['msg']}" if place else problem["msg"]
         raise DataError(message, str(path), "see docs/formats.md for the fields") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot be read: {error}", str(path), "copy or write it again, as UTF-8") from None
     if entries.version != LAYOUT_VERSION:
         message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
         raise DataError(message, str(path), "update piegraph")
@@ -102,8 +105,9 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
 
 def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Camera:
     where = f"{path}, camera {name}"
-    if Path(name).name != name or name.startswith("."):
-        raise DataError("camera names must be plain folder names", where)
+    if Path(name).name != name or name.startswith(".") or len(name.encode()) > LONGEST_NAME:
+        where = f"{path}, camera {name[:40]}"
+        raise DataError(f"camera names must be plain folder names of at most {LONGEST_NAME} bytes", where, "rename it")
     K = _intrinsics(entry.K, "K", where)
     distortion = _distortion(entry.distortion, "distortion", where)
     distortion = np.pad(distortion, (0, coefficients - len(distortion)))
@@ -178,14 +182,7 @@ def read_times(sequence: Path, camera: Camera) -> np.ndarray:
         raise DataError(
             f"camera {camera.name} is in cameras.json but has no folder", str(sequence), "add it or remove the camera"
         )
-    try:
-        return np.array([float(line) for line in path.read_text().split()])
-    except FileNotFoundError:
-        raise DataError("timestamps.txt is missing", str(path.parent), "one time stamp in seconds per line") from None
-    except OSError as error:
-        raise DataError(f"cannot be read: {error}", str(path), "one time stamp in seconds per line") from None
-    except (ValueError, UnicodeDecodeError):
-        raise DataError("a line is not a number", str(path), "one time stamp in seconds per line") from None
+    return read_numbers(path, "one time stamp in seconds per line")
 
 
 def frame_files(sequence: Path, camera: Camera) -> list[tuple[Path, Path]]:
@@ -273,27 +270,18 @@ def image_size(path: Path, camera: str) -> tuple[int, int]:
 
 def _decoded(path: Path, flag: int, camera: str) -> tuple[bytes, np.ndarray]:
     """The bytes of an image file, and the image. Raises `DataError` for what is none, or promises too many pixels."""
-    import cv2
-
     try:
+        if not path.is_file():
+            raise ValueError("no regular file")
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"it has more than {MOST_BYTES} bytes")
         data = path.read_bytes()
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flag) if data else None
-    except (OSError, cv2.error) as error:
+        return data, decode_image(data, flag)
+    except (OSError, ValueError) as error:
         reason = str(error).strip().splitlines()[0]
-        raise DataError(
-            f"camera {camera}: not a readable image: {reason}", str(path), "export the recording again"
-        ) from None
-    return data, _check_image(image, path, camera)
-
-
-def _check_image(image: np.ndarray | None, path: Path, camera: str) -> np.ndarray:
-    if image is None:
-        raise DataError(
-            f"image of camera {camera}, frame {path.stem} cannot be decoded",
-            str(path),
-            "record it again, or remove this frame from every camera and from timestamps.txt",
-        )
-    return image
+        hint = "record it again, or remove this frame from every camera and from timestamps.txt"
+        message = f"image of camera {camera}, frame {path.stem} cannot be decoded: {reason}"
+        raise DataError(message, str(path), hint) from None
 
 
 def cameras_text(cameras: list[Camera]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.points import check_size
+from piegraph_cli.recording.text import parse_number
 
 FIXED = ("time", "ee_x", "ee_y", "ee_z")
 OPTIONAL = ("contact", "mode")
@@ -73,18 +74,12 @@ def _numbers(row: list[str], columns: list[int], header: list[str], where: str) 
     if len(row) != len(header):
         message = f"has {len(row)} columns, the first line has {len(header)}"
         raise DataError(message, where, "every line has all particles: they may not change in number")
-    try:
-        return [float(row[k]) for k in columns]
-    except ValueError:
-        wrong = next(k for k in columns if not _is_number(row[k]))
-        what = f"{row[wrong].strip()!r} is no number" if row[wrong].strip() else "is empty"
-        hint = "write numbers with a point; fill gaps of lost markers in, or leave these frames out"
-        raise DataError(f"column {header[wrong]}: {what}", where, hint) from None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    numbers = []
+    for k in columns:
+        try:
+            numbers.append(parse_number(row[k], bounded=False))
+        except ValueError as error:
+            what = str(error) if row[k].strip() else "is empty"
+            hint = "write numbers with a point; fill gaps of lost markers in, or leave these frames out"
+            raise DataError(f"column {header[k]}: {what}", where, hint) from None
+    return numbers

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.points import check_size, read_arrays
+from piegraph_cli.recording.points import read_arrays
+from piegraph_cli.recording.text import read_table
 
 PARTICLES, TIPS, GRIPPERS = "traj.npz", "eef_traj.txt", "eef_gripper.txt"
 RATE = 30.0
@@ -62,24 +63,8 @@ def read_episode(folder: Path) -> tuple[dict[str, np.ndarray], list[str]]:
 
 def _table(path: Path) -> np.ndarray:
     """Finite numbers [line, column] of a text file."""
-    check_size(path)
-    rows: list[list[float]] = []
-    number = 0
-    try:
-        for line in path.read_text().splitlines():
-            number += 1
-            words = line.replace(",", " ").split()
-            if not words:
-                continue
-            rows.append([float(word) for word in words])
-            if len(rows[-1]) != len(rows[0]):
-                raise ValueError(f"{len(rows[-1])} numbers, {len(rows[0])} before")
-            if not np.isfinite(rows[-1]).all():
-                raise ValueError("a number that is not finite")
-    except ValueError as error:
-        raise DataError(f"line {number}: {error}", str(path), "copy the episode again; it may be cut") from None
-    except OSError as error:
-        raise DataError(f"cannot be read: {error.strerror or error}", str(path), "copy the episode again") from None
-    if not rows:
-        raise DataError("is empty", str(path), "copy the episode again; it may be cut")
-    return np.array(rows)
+    hint = "copy the episode again; it may be cut"
+    rows = read_table(path, hint, commas=True)
+    if not len(rows):
+        raise DataError("is empty", str(path), hint)
+    return rows

@@ -22,6 +22,8 @@ log = logging.getLogger("piegraph")
 
 MAX_BYTES = 1 << 30
 """The largest file, and the most that all arrays of an .npz may unpack to."""
+FREE, RATIO = 1 << 28, 100
+"""Bytes that an .npz may unpack to whatever its size, and times its size that it may beyond."""
 FARTHEST = 1e6
 """Metres beyond which a number is no place."""
 
@@ -145,8 +147,9 @@ def _npz_headers(file: zipfile.ZipFile, path: Path) -> dict[str, _Array]:
     """The arrays of an .npz by name, each header held against the size that the zip directory states."""
     members = file.infolist()
     total = sum(member.file_size for member in members)
-    if total > MAX_BYTES:
-        raise DataError(f"unpacks to {total} bytes, at most {MAX_BYTES} are read", str(path), "thin the clouds out")
+    most = min(MAX_BYTES, max(FREE, RATIO * path.stat().st_size))
+    if total > most:
+        raise DataError(f"unpacks to {total} bytes, at most {most} are read", str(path), "thin the clouds out")
     arrays: dict[str, _Array] = {}
     for member in members:
         name = member.filename.removesuffix(".npy")

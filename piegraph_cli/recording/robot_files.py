@@ -16,6 +16,7 @@ from piegraph_cli.recording.motion_csv import read_rows
 from piegraph_cli.recording.numbers import number_of
 from piegraph_cli.recording.robot import POOR, REACH, Base, hand_eye, touched
 from piegraph_cli.recording.shots import Shots, read_shots
+from piegraph_cli.recording.text import parse_number
 
 POSE_COLUMNS = "columns image,x,y,z,qx,qy,qz,qw (metres), or rx,ry,rz (a rotation vector, radians) for the last four"
 POINT_COLUMNS = "columns x,y,z of the tip (metres), and world_x,world_y,world_z, or corner, or camera,column,row"
@@ -181,11 +182,9 @@ def _numbers(rows: Sequence[dict[str, str]], names: Sequence[str], path: Path, c
     for n, row in enumerate(rows):
         for k, name in enumerate(names):
             try:
-                values[n, k] = float(row[name])
-            except ValueError:
-                values[n, k] = np.nan
-            if not np.isfinite(values[n, k]):
-                raise DataError(f"column {name}: {row[name]!r} is no number", f"{path}, line {n + 2}", "write numbers")
+                values[n, k] = parse_number(row[name])
+            except ValueError as error:
+                raise DataError(f"column {name}: {error}", f"{path}, line {n + 2}", "write numbers") from None
     return values
 
 

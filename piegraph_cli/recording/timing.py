@@ -12,6 +12,10 @@ UNITS = ((1e3, 1e3, "milliseconds"), (1e6, 1e6, "microseconds"), (np.inf, 1e9, "
 """Step (s) up to which time stamps are in a unit, how many of it a second has, and its name."""
 LONGEST_GAP, GAP = 10.0, 1.0
 """Seconds without a frame that are refused, and that are said, where they are also many times the usual step."""
+LONGEST = 86_400.0
+"""Seconds that a sequence lasts at most."""
+LATEST = 1e11
+"""Seconds that no clock shows."""
 MANY = 10
 FEWEST = 0.5
 """Share of the frames that must have a partner in every camera."""
@@ -51,11 +55,19 @@ def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 
             where,
             "if nothing was recorded in between, make two sequences of it; otherwise repair the clock",
         )
+    _check_span(times, where)
     gaps = np.flatnonzero(steps > max(GAP, MANY * usual))
     if not len(gaps):
         return []
     more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
     return [f"{where}: {steps[gaps[0]]:.1f} s without a frame before {item} {gaps[0] + 1 + first}{more}"]
+
+
+def _check_span(times: np.ndarray, where: str) -> None:
+    """Refuse times that no clock shows, and more of them than a day has."""
+    if times[-1] - times[0] > LONGEST or abs(times[-1]) > LATEST:
+        message = f"time stamps go from {times[0]:.6g} to {times[-1]:.6g} s"
+        raise DataError(message, where, f"a sequence lasts {LONGEST:.0f} s at most: cut it, or repair the clock")
 
 
 def pair_frames(times: dict[str, np.ndarray], max_skew: float, where: str) -> tuple[np.ndarray, list[str]]:
@@ -150,6 +162,6 @@ def align_frames(
         period = float(np.median(np.diff(clock)))
         if abs(period * fps - 1) > SAME_RATE:
             wanted = np.arange(clock[0], clock[-1] + 0.5 * period, max(1 / fps, period))
-            chosen = np.unique(np.abs(wanted[:, None] - clock).argmin(1))
+            chosen = np.unique(nearest(wanted, clock))
             clock, groups = clock[chosen], groups[chosen]
     return clock - clock[0], groups.astype(np.int64), warnings

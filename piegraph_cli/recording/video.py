@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.recording.encoded import MOST_PIXELS
 
 QUALITY = 95
 """Of the JPEG images that are made of a video's frames."""
@@ -25,6 +26,10 @@ class VideoFrames:
             raise DataError(
                 f"video of camera {self.camera} cannot be read", str(self.path), "copy it again; is it cut?"
             )
+        width, height = self.size
+        if width * height > MOST_PIXELS:
+            message = f"video of camera {self.camera} says that it is {width} x {height}"
+            raise DataError(message, str(self.path), f"at most {MOST_PIXELS} pixels are read")
 
     @property
     def size(self) -> tuple[int, int]:

@@ -61,13 +61,13 @@ def run(inputs: dict[str, Any], params: DatasetParams, context: Context) -> Outp
 
 def _read_split(path: "Path") -> dict[str, list[str]]:
     from piegraph_cli.dynamics.splits import parse_split
+    from piegraph_cli.recording.text import read_text
 
+    text = read_text(path, "a line NAME,PART per sequence")
     try:
-        return parse_split(path.read_text("utf-8-sig"))
+        return parse_split(text)
     except DataError as error:
         raise DataError(error.message, f"{path}, {error.where}", error.hint) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"not a readable text file: {error}", str(path), "a line NAME,PART per sequence") from None
 
 
 def _left_out(found: "Mapping[str, Found]") -> tuple[list[str], list[str]]:

@@ -128,39 +128,12 @@ def read_h5(path: Path) -> "dict[str, np.ndarray]":
 
     Links, data in other files, and types that are not numbers or short texts are refused: the file may be anybody's.
     """
-    import h5py
-
     from piegraph_cli.recording.motion import ALL_NAMES
     from piegraph_cli.recording.points import check_size
+    from piegraph_cli.workspace.structure import read_datasets
 
     check_size(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return {name: _plain(file, name, path) for name in ALL_NAMES if file.get(name, getlink=True) is not None}
-    except (OSError, ValueError, KeyError, RuntimeError, MemoryError, TypeError) as error:
-        raise DataError(f"not a readable HDF5 file: {error}", str(path), "write it again") from None
-
-
-def _plain(file: Any, name: str, path: Path) -> "np.ndarray":
-    import h5py
-
-    from piegraph_cli.recording.points import MAX_BYTES
-
-    where, hint = f"{path}, dataset {name}", "write plain datasets of numbers"
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise DataError("is a link, which is not followed", where, hint)
-    item = file[name]
-    if not isinstance(item, h5py.Dataset):
-        raise DataError("is a group, not a dataset", where, hint)
-    if item.dtype.kind not in "fiubS":
-        raise DataError(f"has the type {item.dtype}", where, hint)
-    if item.shape is None:
-        raise DataError("is empty", where, hint)
-    if item.is_virtual or item.external:
-        raise DataError("takes its data from other files", where, hint)
-    if item.size * item.dtype.itemsize > MAX_BYTES:
-        raise DataError(f"has {item.size * item.dtype.itemsize} bytes, at most {MAX_BYTES} are read", where, hint)
-    return item[()]
+    return read_datasets(path, ALL_NAMES, "write plain datasets of numbers")
 
 
 READERS = {".h5": read_h5}

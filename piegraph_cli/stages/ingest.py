@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("piegraph")
 
+NEW_PLACE = "tell where it is now: piegraph ingest --run RUN --recording NEW_PLACE"
+
 Place = tuple[Path, str]
 """A recording, and the name of a sequence's folder in it."""
 
@@ -33,7 +35,8 @@ def _units(run: "Run") -> Sequence[Unit]:
 @functools.cache
 def _tell_gone(recording: Path, count: int) -> None:
     """Say it once a process."""
-    log.warning("the recording %s is gone: its %d sequences stay as they were read", recording, count)
+    message = "the recording %s is gone: its %d sequences stay as they were read; if it was moved, %s"
+    log.warning(message, recording, count, NEW_PLACE)
 
 
 def _places(run: "Run") -> dict[str, Place]:
@@ -139,6 +142,8 @@ def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Out
     from piegraph_cli.stages.geometry import check_frames
 
     folder = params.recording / params.sequence
+    if not params.recording.exists():
+        raise DataError("the recording is not there any more", str(params.recording), f"put it back, or {NEW_PLACE}")
     arrays, warnings = read_sequence(folder, params, progress=lambda frames: context.progress(frames, "frames"))
     checked, geometry, doubts = check_frames(arrays, params, folder)
     time, cameras = arrays["time"], arrays["camera_name"]

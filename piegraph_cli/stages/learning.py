@@ -7,10 +7,10 @@ import torch
 
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.models import Trained, make_network
-from piegraph_cli.dynamics.params import LEARNED, split_label
+from piegraph_cli.dynamics.params import LEARNED
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import PICK
+from piegraph_cli.params import PICK, validated
 from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -42,10 +42,16 @@ def read_sequences(data: Artifact, split: int, count: int | None = None, seed: i
 
 
 def read_model(model: Artifact) -> Trained:
-    """What a model artifact holds. Raises `DataError` where the weights do not fit its settings."""
-    name = split_label(model.params["label"])[0]
-    settings = LEARNED[name].model_validate(model.params["settings"])
-    network = make_network(name, settings, PICK in model["modes"], model.params["seed"])
+    """What a model artifact holds. Raises `DataError` where it does not say what it is, or the weights do not fit that."""
+    label, seed, where = model.params.get("label"), model.params.get("seed"), str(model.path)
+    name = str(label).partition("@")[0].partition(":")[0]
+    if name not in LEARNED or type(seed) is not int or seed < 0:
+        raise DataError(f"does not hold a model that is known: {str(label)[:40]!r}", where, "piegraph train --force")
+    try:
+        settings = validated(LEARNED[name], model.params.get("settings"), name, where, "piegraph train --force")
+    except UsageError as error:
+        raise DataError(error.message, error.where, error.hint) from None
+    network = make_network(name, settings, PICK in model["modes"], seed)
     weights = {
         n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")
     }

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from piegraph_cli.dynamics.params import trained_label
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import validated
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
@@ -32,14 +32,18 @@ def find_model(
         label = label or "piegraph"
         artifact, plan = _model_of_run(path, label, seed)
         return Model(label, read_model(artifact) if artifact else None, plan), artifact
-    artifact = read_artifact(path, "model")
-    own = artifact.params["label"]
+    artifact = read_artifact(path, "model", foreign=True)
+    own = str(artifact.params.get("label"))
     if label is not None and trained_label(label) != own:
         raise DataError(f"holds {own}, not {label}", str(path), "another file, or no label")
-    if seed is not None and seed != artifact.params["seed"]:
-        raise DataError(f"holds seed {artifact.params['seed']}, not {seed}", str(path), "another file, or no seed")
-    plan = validated(PlanParams, artifact.params.get("plan", {}), "plan", str(path), "another model file")
-    return Model(label or own, read_model(artifact), plan), artifact
+    if seed is not None and seed != artifact.params.get("seed"):
+        raise DataError(f"holds seed {artifact.params.get('seed')}, not {seed}", str(path), "another file, or no seed")
+    trained = read_model(artifact)
+    try:
+        plan = validated(PlanParams, artifact.params.get("plan", {}), "plan", str(path), "another model file")
+    except UsageError as error:
+        raise DataError(error.message, error.where, error.hint) from None
+    return Model(label or own, trained, plan), artifact
 
 
 def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, seed: int | None = None) -> None:

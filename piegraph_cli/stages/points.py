@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from piegraph_cli.errors import DataError
 from piegraph_cli.recording import points
-from piegraph_cli.workspace.artifact import read_artifact, read_header
+from piegraph_cli.workspace.artifact import read_artifact
 
 
 def read_points(path: Path, frame: int | None, key: str | None = None) -> np.ndarray:
@@ -18,14 +19,15 @@ def read_points(path: Path, frame: int | None, key: str | None = None) -> np.nda
 
 
 def _frames_of_artifact(path: Path) -> points.Frames:
-    if read_header(path, "clouds"):
-        clouds = read_artifact(path, "clouds")
-        return points.Clouds(clouds["points"], clouds["offsets"])
-    return read_artifact(path, "tracks")["positions"]
+    found = read_artifact(path, foreign=True)
+    if found.name == "clouds":
+        return points.Clouds(found["points"], found["offsets"])
+    if found.name == "tracks":
+        return found["positions"]
+    raise DataError(f"holds {found.name}, expected clouds or tracks", str(path), "give the file of the right stage")
 
 
 def read_rest(path: Path) -> np.ndarray | None:
     """The particles [N, 3] (m) of a track's first frame, which are those of all its frames; None for any other file."""
-    if path.suffix != ".h5" or not read_header(path, "tracks"):
-        return None
-    return read_artifact(path, "tracks")["positions"][0]
+    found = read_artifact(path, foreign=True) if path.suffix == ".h5" else None
+    return found["positions"][0] if found and found.name == "tracks" else None

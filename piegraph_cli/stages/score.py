@@ -81,7 +81,7 @@ def read_truth(run: "Run", sequence: str) -> "Artifact | None":
         return None
     if not path.is_file():
         return None
-    truth, T = read_artifact(path, "truth"), level(run.params(ingest.STAGE.name).table)
+    truth, T = read_artifact(path, "truth", foreign=True), level(run.params(ingest.STAGE.name).table)
     points = {"particles", "vertices", "hand_keypoints", "end_effector"} & truth.arrays.keys()
     placed = {name: moved(truth[name], T) for name in points}
     placed |= {name: T @ values for name, values in truth.arrays.items() if name.startswith("pose/")}

@@ -1,8 +1,10 @@
 """Reading and writing one artifact: an HDF5 file that is complete or absent, checked when read."""
 
+import contextlib
 import datetime
 import json
-from collections.abc import Collection, Mapping
+import os
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +12,19 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli import __version__
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.workspace.schema import FIXED_AXES, SCHEMA_VERSION, SCHEMAS, Field, field_of
+from piegraph_cli.workspace.probe import probe
+from piegraph_cli.workspace.schema import LONG_TEXT, SCHEMA_VERSION, SCHEMAS, TEXT, Field, field_of
+from piegraph_cli.workspace.sealed import check_seal, sealed
+from piegraph_cli.workspace.structure import Found, attribute, datasets_in, opened
+from piegraph_cli.workspace.values import check_arrays, check_shapes, check_values, groups_of
 
 if TYPE_CHECKING:  # imported where data is read or written: a look at what is known needs neither
     import h5py
     import numpy as np
 
 CHUNK_BYTES = 1 << 20
+CHECKED_FROM = 2
+"""The first schema version whose artifacts have a checksum."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +38,8 @@ class Artifact:
     inputs: dict[str, Any]
     quality: str
     arrays: "dict[str, np.ndarray]"
+    checked: bool = True
+    """Whether it has a checksum."""
 
     def __getitem__(self, dataset: str) -> "np.ndarray":
         return self.arrays[dataset]
@@ -81,8 +91,8 @@ def write_artifact(
         "software": f"piegraph {__version__}",
     }
     image = _image(path, name, attributes, arrays)
-    with atomic_file(path) as temporary:
-        temporary.write_bytes(image)
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
+        file.writelines(sealed(image))
 
 
 def _image(path: Path, name: str, attributes: Mapping[str, Any], arrays: "Mapping[str, np.ndarray]") -> bytes:
@@ -106,7 +116,22 @@ def _cast(name: str, dataset: str, value: "np.ndarray", path: Path) -> "np.ndarr
     value = np.asarray(value)
     if value.dtype.kind == "U":
         value = np.char.encode(value, "utf-8")
+    if value.dtype.kind == "S" and field.dtype in (TEXT, LONG_TEXT):
+        value = _fitting(value, field, f"{path}, dataset {dataset}")
     return value if field.dtype == "*" else value.astype(field.dtype, copy=False)
+
+
+def _fitting(texts: "np.ndarray", field: Field, where: str) -> "np.ndarray":
+    """Texts that are not too long for their field: long ones are cut, between two letters; a name that is cut is another."""
+    import numpy as np
+
+    most = np.dtype(field.dtype).itemsize
+    if texts.dtype.itemsize <= most:
+        return texts
+    whole = [text[:most].decode("utf-8", "ignore").encode() for text in texts.flat]
+    if field.dtype == TEXT and whole != list(texts.flat):
+        raise DataError(f"a text is longer than {most} bytes", where, "shorten the name")
+    return np.array(whole, field.dtype).reshape(texts.shape)
 
 
 def _write_dataset(file: "h5py.File", dataset: str, value: "np.ndarray", field: Field | None) -> None:
@@ -121,26 +146,54 @@ def _write_dataset(file: "h5py.File", dataset: str, value: "np.ndarray", field: 
     handle.attrs["units"], handle.attrs["axes"] = field.units, field.axes
 
 
-def read_artifact(path: Path, name: str | None = None, only: Collection[str] | None = None) -> Artifact:
+def read_artifact(
+    path: Path,
+    name: str | None = None,
+    only: Collection[str] | None = None,
+    *,
+    verified: bool = False,
+    foreign: bool = False,
+    probed: bool = False,
+) -> Artifact:
     """Read and check an artifact, or `only` some datasets; without a name whatever artifact the file holds.
 
-    Raises `DataError` naming file and dataset when something is off.
+    The checksum comes first, but of a file that was `verified` before; then what the file says it holds, then values. A
+    `foreign` file, and one without checksum, is read in a process of its own before, unless it was `probed`. Raises
+    `DataError` naming file and dataset when something is off.
     """
-    with _open(path, name or "") as file:
-        attributes = _attributes(file, path, name)
-        name = attributes["artifact"]
-        arrays: dict[str, np.ndarray] = {}
-        for dataset, item in datasets_of(file, path, _remake(attributes), only).items():
-            try:
-                arrays[dataset] = item[()]
-            except (OSError, ValueError, MemoryError) as error:
-                raise DataError(f"dataset {dataset} is damaged: {error}", str(path), _remake(attributes)) from None
-    check_arrays(path, name, arrays, _remake(attributes), only)
-    try:
-        params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
-    except ValueError:
-        raise DataError("its params or inputs attribute is damaged", str(path), _remake(attributes)) from None
-    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays)
+    checked = _checked(path, name, verified)
+    if not (verified or probed) and (foreign or not checked):
+        probe(path, _copied(name), name=name)
+    with _open(path, name, checked) as (file, attributes):
+        name, remake = attributes["artifact"], _remake(path, attributes)
+        found, lengths = _structure(file, path, name, remake)
+        wanted = [dataset for dataset in found if only is None or dataset in only]
+        arrays = {dataset: found[dataset].values(f"{path}, dataset {dataset}", remake) for dataset in wanted}
+    check_values(str(path), name, arrays, found, lengths, remake)
+    params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
+    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays, checked)
+
+
+def _structure(file: "h5py.File", path: Path, name: str, hint: str) -> "tuple[dict[str, Found], dict[str, int]]":
+    """What a file holds, as it says, and the lengths of axes. Raises `DataError` where that does not fit the schema."""
+    found = datasets_in(file, groups_of(name), str(path), hint)
+    return found, check_shapes(str(path), name, found, hint)
+
+
+def open_artifact(
+    path: Path, name: str, cache: int
+) -> "tuple[contextlib.ExitStack, dict[str, str], dict[str, Found], dict[str, int]]":
+    """An artifact that stays open until the first of these is closed: that, its attributes, datasets, and lengths of axes.
+
+    Checksum and structure are looked at as `read_artifact` does, values are not read; `cache` bytes of each dataset are kept.
+    """
+    checked = _checked(path, name)
+    if not checked:
+        probe(path, _copied(name), name=name)
+    with contextlib.ExitStack() as stack:
+        file, attributes = stack.enter_context(_open(path, name, checked, cache))
+        found, lengths = _structure(file, path, name, _remake(path, attributes))
+        return stack.pop_all(), attributes, found, lengths
 
 
 def read_key(path: Path, name: str) -> str | None:
@@ -158,6 +211,8 @@ class Header:
     settings: str
     """Its params as JSON."""
     quality: str
+    checked: bool = True
+    """Whether a checksum says that it is what was written."""
 
     @property
     def params(self) -> dict[str, Any]:
@@ -166,154 +221,72 @@ class Header:
 
 
 def read_header(path: Path, name: str) -> Header | None:
-    """The header of an artifact, or None when it is absent, damaged or of another schema."""
+    """The header of an artifact whose bytes are those that were written; None when it is absent, damaged or of another schema.
+
+    One without checksum, which only old ones are, is read as a whole, in a process of its own.
+    """
     if not path.is_file():
         return None
     try:
-        with _open(path, name) as file:
-            attributes = _attributes(file, path, name)
-            json.loads(attributes["params"])
-            version = int(file.attrs["stage_version"])
-            return Header(attributes["key"], version, attributes["params"], attributes["quality"])
-    except (DataError, KeyError, ValueError):
+        checked = _checked(path, name)
+        if not checked:
+            probe(path, _copied(name), name=name)
+        with _open(path, name, checked) as (file, attributes):
+            version = attribute(file, "stage_version")
+            return Header(attributes["key"], int(version), attributes["params"], attributes["quality"], checked)
+    except (DataError, TypeError, ValueError):
         return None
 
 
-def _open(path: Path, name: str, cache: int | None = None) -> "h5py.File":
-    import h5py
-
+def _checked(path: Path, name: str | None, verified: bool = False) -> bool:
+    """Whether an artifact has a checksum, which then is right. Raises `DataError` for what is no file."""
     if not path.is_file():
-        raise DataError(
-            f"no such {name} artifact", str(path), "run the stage that writes it; `piegraph status` lists them"
-        )
-    try:
-        # files are replaced whole, never written in place
-        return h5py.File(path, "r", locking=False, rdcc_nbytes=cache)
-    except OSError as error:
-        raise DataError(
-            f"not a readable HDF5 file: {error}", str(path), f"remove it and make the {name} again"
-        ) from None
+        what = "is not a regular file" if os.path.lexists(path) else f"no such {name or ''} artifact"
+        raise DataError(what, str(path), "run the stage that writes it; `piegraph status` lists them")
+    return check_seal(path, verified)
 
 
-def open_file(path: Path, name: str, cache: int) -> "tuple[h5py.File, dict[str, str]]":
-    """An artifact's file, to be closed by the caller, and its root attributes; `cache` bytes of each dataset are kept."""
-    file = _open(path, name, cache)
-    try:
-        return file, _attributes(file, path, name)
-    except BaseException:
-        file.close()
-        raise
+def _copied(name: str | None) -> str:
+    return f"make the {name} again" if name else "copy it again from where it was made"
 
 
-def datasets_of(
-    file: "h5py.File", path: Path, hint: str, only: Collection[str] | None = None
-) -> "dict[str, h5py.Dataset]":
-    """The datasets of an artifact's file by name, or `only` some, unread. Raises `DataError` for types that run code."""
-    import h5py
-
-    found: dict[str, h5py.Dataset] = {}
-
-    def take(dataset: str, item: "h5py.Dataset | h5py.Group") -> None:
-        if isinstance(item, h5py.Dataset) and (only is None or dataset in only):
-            if item.dtype.hasobject:
-                raise DataError(f"dataset {dataset} has a type that is not allowed", str(path), hint)
-            found[dataset] = item
-
-    file.visititems(take)
-    return found
+@contextlib.contextmanager
+def _open(
+    path: Path, name: str | None, checked: bool, cache: int | None = None
+) -> "Iterator[tuple[h5py.File, dict[str, str]]]":
+    """An artifact that is opened, and its attributes; what HDF5 cannot read is a `DataError`."""
+    with opened(path, _copied(name), cache) as file:
+        yield file, _attributes(file, path, name, checked)
 
 
-def _attributes(file: "h5py.File", path: Path, name: str | None) -> dict[str, str]:
-    import numpy as np
-
-    version = file.attrs.get("schema_version")
-    if isinstance(version, np.integer) and version > SCHEMA_VERSION:
-        raise DataError(
-            f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})",
-            str(path),
-            "update piegraph",
-        )
-    attributes = {k: file.attrs.get(k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
-    if version != SCHEMA_VERSION or not all(isinstance(value, str) for value in attributes.values()):
+def _attributes(file: "h5py.File", path: Path, name: str | None, checked: bool) -> dict[str, str]:
+    version = attribute(file, "schema_version")
+    known = not isinstance(version, str | None)
+    if known and version > SCHEMA_VERSION:
+        message = f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})"
+        raise DataError(message, str(path), "update piegraph")
+    attributes = {k: attribute(file, k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
+    if not known or version < 1 or not all(isinstance(value, str) for value in attributes.values()):
         raise DataError("not an artifact of this version", str(path), "make it again with --force")
+    if checked != (version >= CHECKED_FROM):
+        what = "has lost its checksum" if version >= CHECKED_FROM else "has a checksum that it cannot have"
+        raise DataError(f"is not what was written: it {what}", str(path), _remake(path, attributes))
     if attributes["artifact"] not in ([name] if name else SCHEMAS):
         expected = f", expected {name}" if name else ""
         raise DataError(f"holds {attributes['artifact']}{expected}", str(path), "give the file of the right stage")
-    return attributes  # type: ignore[return-value]
+    for text in ("params", "inputs"):
+        _check_json(attributes[text], path, attributes)
+    return attributes
 
 
-def _remake(attributes: Mapping[str, str]) -> str:
+def _check_json(text: str, path: Path, attributes: Mapping[str, str]) -> None:
+    try:
+        whole = isinstance(json.loads(text), dict)
+    except (ValueError, RecursionError):
+        whole = False
+    if not whole:
+        raise DataError("its params or inputs attribute is damaged", str(path), _remake(path, attributes))
+
+
+def _remake(path: Path, attributes: Mapping[str, str]) -> str:
     return f"make it again: `piegraph {attributes['stage']} --force`"
-
-
-def check_arrays(
-    path: Path, name: str, arrays: "Mapping[str, np.ndarray]", hint: str = "", only: Collection[str] | None = None
-) -> None:
-    """Check names, types, axes, finiteness and offsets of an artifact's arrays (all, or `only` some) against the schema."""
-    check_form(path, name, arrays, hint, only)
-    check_values(path, name, arrays, hint)
-
-
-def check_form(
-    path: Path,
-    name: str,
-    arrays: "Mapping[str, np.ndarray | h5py.Dataset]",
-    hint: str = "",
-    only: Collection[str] | None = None,
-) -> dict[str, int]:
-    """Check what needs no reading, names, types and axes; returns the lengths of the axes by name."""
-    import numpy as np
-
-    needed = [d for d, field in SCHEMAS[name].items() if not (d.endswith("/*") or field.optional)]
-    missing = [d for d in needed if d not in arrays and (only is None or d in only)]
-    if missing:
-        raise DataError(f"dataset {missing[0]} is missing", str(path), hint)
-    lengths = dict(FIXED_AXES)
-    for dataset, value in arrays.items():
-        field = field_of(name, dataset)
-        where = f"{path}, dataset {dataset}"
-        if field is None:
-            raise DataError("not a dataset of this artifact", where, hint)
-        if field.dtype != "*" and value.dtype != np.dtype(field.dtype):
-            raise DataError(f"type {value.dtype}, expected {field.dtype}", where, hint)
-        if field.axes != "*":
-            _check_axes(value, field.axes.split(",") if field.axes else [], lengths, where, hint)
-    if {"image", "frame", "camera"} <= lengths.keys() and lengths["image"] != lengths["frame"] * lengths["camera"]:
-        message = f"{lengths['image']} images, expected {lengths['frame']} frames of {lengths['camera']} cameras"
-        raise DataError(message, str(path), hint)
-    return lengths
-
-
-def check_values(path: Path, name: str, arrays: "Mapping[str, np.ndarray]", hint: str = "", part: bool = False) -> None:
-    """Check finiteness, and offsets unless these are a `part` of the datasets."""
-    import numpy as np
-
-    for dataset, value in arrays.items():
-        field = field_of(name, dataset)
-        where = f"{path}, dataset {dataset}"
-        assert field is not None
-        if value.dtype.kind == "f" and not field.nan and not np.isfinite(value).all():
-            row = np.argwhere(~np.isfinite(value))[0] if value.ndim else ()
-            raise DataError(f"value that is not finite at index {tuple(int(i) for i in row)}", where, hint)
-        if field.ends and not part:
-            _check_offsets(value, arrays.get(field.ends), field.ends, where, hint)
-
-
-def _check_axes(
-    value: "np.ndarray | h5py.Dataset", axes: list[str], lengths: dict[str, int], where: str, hint: str
-) -> None:
-    if value.ndim != len(axes):
-        raise DataError(f"shape {value.shape}, expected axes {','.join(axes)}", where, hint)
-    for axis, length in zip(axes, value.shape, strict=True):
-        edge = int(axis.endswith("_edge"))
-        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis.removesuffix("_edge"), length - edge) + edge
-        if length != expected:
-            raise DataError(f"axis {axis} has length {length}, expected {expected}", where, hint)
-
-
-def _check_offsets(offsets: "np.ndarray", parts: "np.ndarray | None", name: str, where: str, hint: str) -> None:
-    """Check offsets [n + 1] against the dataset they cut; where that was not read, alone."""
-    rises = len(offsets) > 0 and offsets[0] == 0 and (offsets[1:] >= offsets[:-1]).all()
-    if not rises or (parts is not None and parts.shape[:1] != (offsets[-1],)):
-        length = "" if parts is None else f" to its end: {name} is {parts.shape}"
-        raise DataError(f"offsets into {name} do not rise from 0{length}", where, hint)

@@ -1,9 +1,9 @@
 """What earlier reads found out about files, kept in the run folder: a file that has not changed is not read again.
 
-Of artifacts the headers are kept, of recordings and other sources the hash of their content. A file counts as unchanged as
-long as its size, inode and times are; one that was changed moments before it was read is read again the next time, since a
-later change could fall into the same tick of the clock. Nothing else is taken from the file: without it, or with a damaged
-one, everything is read again.
+Of artifacts the headers are kept, and so that their bytes are those of their checksum, or that they were refused; of
+recordings and other sources the hash of their content. A file counts as unchanged as long as its size, inode and times are;
+one that was changed moments before it was read is read again the next time, since a later change could fall into the same
+tick of the clock. Nothing else is taken from the file: without it, or with a damaged one, everything is read again.
 """
 
 import contextlib
@@ -16,18 +16,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, InputError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.workspace.artifact import Header, read_header
+from piegraph_cli.workspace.artifact import Artifact, Header, read_artifact, read_header
 from piegraph_cli.workspace.schema import SCHEMA_VERSION
 
 NAME = ".known.json"
-VERSION = f"1.{SCHEMA_VERSION}"
+VERSION = f"2.{SCHEMA_VERSION}"
 TICK = 2_000_000_000
 """Nanoseconds within which two changes of a file may look like one."""
 
 Stamp = tuple[int, int, int, int]
 """Size, time of the last change of the content and of the file, inode."""
+
+_Row = tuple[Stamp, str, Header | None]
+"""Stamp, artifact and header; None of one that was refused when its values were read."""
 
 
 class Known:
@@ -35,7 +38,7 @@ class Known:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self._headers: dict[str, tuple[Stamp, str, Header]] = {}
+        self._headers: dict[str, _Row] = {}
         self._contents: dict[str, tuple[str, str]] = {}
         self._changed = False
         self._merge = True
@@ -62,6 +65,20 @@ class Known:
             self._headers[place] = (_stamp(found), artifact, header)
             self._changed = True
         return header
+
+    def read(self, place: str, path: Path, artifact: str) -> Artifact:
+        """An artifact whose header is known; its bytes are held against the checksum unless they were since they changed.
+
+        One that is refused is stale from now on, so that it is made again: `InputError`.
+        """
+        kept, stamp = self._headers.get(place), _stamp(os.stat(path))
+        try:
+            return read_artifact(path, artifact, verified=kept is not None and kept[2] is not None and kept[0] == stamp)
+        except DataError as error:
+            self._headers[place] = (stamp, artifact, None)
+            self._changed = True
+            self.save()
+            raise InputError(error.message, error.where, "the same command again makes it again") from None
 
     def content(self, path: Path, take: Callable[[], str]) -> str:
         """The hash of a file's or folder's content: the one kept, or else what `take` gives."""
@@ -95,7 +112,17 @@ class Known:
         """As it is kept: settings, which many headers share, once; artifacts that are gone left out."""
         settings: dict[str, int] = {}
         headers = {
-            place: [*stamp, artifact, h.key, h.version, settings.setdefault(h.settings, len(settings)), h.quality]
+            place: [
+                *stamp,
+                artifact,
+                h.key,
+                h.version,
+                settings.setdefault(h.settings, len(settings)),
+                h.quality,
+                h.checked,
+            ]
+            if h
+            else [*stamp, artifact]
             for place, (stamp, artifact, h) in self._headers.items()
             if os.path.exists(self.folder / place)
         }
@@ -111,7 +138,9 @@ class Known:
             if value["version"] == VERSION:
                 headers = {place: _header_row(row, value["settings"]) for place, row in value["headers"].items()}
                 contents = {place: _texts(row, 2) for place, row in value["contents"].items()}
-                self._headers, self._contents = headers | self._headers, contents | self._contents
+                refused = {place: row for place, row in headers.items() if row[2] is None}
+                same = {p: row for p, row in refused.items() if p in self._headers and self._headers[p][0] == row[0]}
+                self._headers, self._contents = headers | self._headers | same, contents | self._contents
             self._read = stamp
         except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
             return
@@ -127,13 +156,18 @@ def known_of(folder: Path) -> Known:
     return _known_of(os.path.realpath(folder))
 
 
-def _header_row(row: list[Any], settings: list[Any]) -> tuple[Stamp, str, Header]:
-    *stamp, artifact, key, version, index, quality = row
+def _header_row(row: list[Any], settings: list[Any]) -> _Row:
+    stamp, artifact, of = row[:4], row[4], row[5:]
+    if len(stamp) != 4 or not all(type(number) is int for number in stamp):
+        raise ValueError
+    if not of:
+        return tuple(stamp), *_texts([artifact], 1), None  # type: ignore[return-value]
+    key, version, index, quality, checked = of
     text = settings[index]
-    if len(stamp) != 4 or not all(type(number) is int for number in (*stamp, version)):
+    if type(version) is not int or type(checked) is not bool:
         raise ValueError
     _texts([artifact, key, text, quality], 4)
-    return tuple(stamp), artifact, Header(key, version, text, quality)  # type: ignore[return-value]
+    return tuple(stamp), artifact, Header(key, version, text, quality, checked)  # type: ignore[return-value]
 
 
 def _texts(row: list[Any], count: int) -> Any:

@@ -51,11 +51,14 @@ class Recipe:
             section[table] = (before if isinstance(before, dict) else {}) | {inner: value} if dot else value
         checked = _validate(stage, section, where)
         section = checked.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        section |= {name: place for name, place in checked.placed(base).items() if name in values}
-        for name, several in checked:
-            if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
-                places = [os.path.realpath(base / file) for file in several]
-                section[name] = places if isinstance(section[name], list) else places[0]
+        try:
+            section |= {name: place for name, place in checked.placed(base).items() if name in values}
+            for name, several in checked:
+                if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
+                    places = [os.path.realpath(base / file) for file in several]
+                    section[name] = places if isinstance(section[name], list) else places[0]
+        except ValueError as error:  # a null byte
+            raise UsageError(f"{stage.name}: a path that cannot be: {error}", where, "correct it") from None
         return replace(self, sections=self.sections | {stage.name: section})
 
     def chain(self) -> list[Stage]:
@@ -81,11 +84,13 @@ class Recipe:
 
 def load_recipe(path: Path, table: Table) -> Recipe:
     """Read a recipe; paths in it are relative to its folder. Raises `UsageError` for unknown sections and settings."""
+    if path.exists() and not path.is_file():
+        raise UsageError("is not a regular file", str(path), "give a .toml file")
     try:
         sections = tomllib.loads(path.read_text())
     except FileNotFoundError:
         raise DataError("no such recipe", str(path), f"give a .toml file, or one of {', '.join(shipped())}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
         raise UsageError(f"not a readable TOML file: {error}", str(path)) from None
     recipe = Recipe(table)
     for name, section in sections.items():

@@ -236,7 +236,7 @@ class Run:
             default = command_line("run", "--run", self.folder, "--until", producer.name)
             hint = producer.command(self, unit) if producer.command else default
             raise InputError(f"{artifact} is {state}", str(self.path(artifact, unit)), hint)
-        return read_artifact(self.path(artifact, unit), artifact)
+        return self.known.read(_place(artifact, unit), self.path(artifact, unit), artifact)
 
     def state(self, stage: Stage, unit: Unit) -> str:
         """`fresh`, `stale`, `missing` or `failed`."""
@@ -269,10 +269,11 @@ class Run:
 
     @cached_property
     def failures(self) -> dict[str, dict[str, Any]]:
-        """Recorded failures by `stage/unit`."""
+        """Recorded failures by `stage/unit`; what is no such record is left out."""
         try:
-            return json.loads((self.folder / "failures.json").read_text())
-        except (OSError, ValueError):
+            found = json.loads((self.folder / "failures.json").read_text()).items()
+            return {k: r for k, r in found if isinstance(r["key"], str) and isinstance(r["message"], str)}
+        except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
             return {}
 
     def record_failures(self, stage: Stage, tried: list[Unit], failed: Mapping[Unit, PiegraphError]) -> None:

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.workspace.artifact import check_form, check_values, datasets_of, open_file
+from piegraph_cli.workspace.artifact import open_artifact
+from piegraph_cli.workspace.values import check_values
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,19 +26,13 @@ class Slices:
 
     def __init__(self, path: Path, name: str):
         self.path, self.name = path, name
-        self._file, attributes = open_file(path, name, CACHE_BYTES)
+        self._stamp = stamp_of(path)
+        self._file, attributes, self._found, self.lengths = open_artifact(path, name, CACHE_BYTES)
         self._hint = f"make it again: `piegraph {attributes['stage']} --force`"
         self.key, self.quality, self.settings = attributes["key"], attributes["quality"], attributes["params"]
-        try:
-            self._stamp = stamp_of(path)
-            self._datasets = datasets_of(self._file, path, self._hint)
-            self.lengths = check_form(path, name, self._datasets, self._hint)
-        except BaseException:
-            self.close()
-            raise
 
     def __contains__(self, dataset: str) -> bool:
-        return dataset in self._datasets
+        return dataset in self._found
 
     def __len__(self) -> int:
         """Frames; 0 of what has none."""
@@ -45,14 +40,14 @@ class Slices:
 
     def __getitem__(self, dataset: str) -> "np.ndarray":
         """A whole dataset, checked."""
-        value = self._read(dataset, slice(None) if self._datasets[dataset].ndim else ())
-        check_values(self.path, self.name, {dataset: value}, self._hint)
+        value = self._read(dataset, slice(None) if self._found[dataset].shape else ())
+        check_values(str(self.path), self.name, {dataset: value}, self._found, self.lengths, self._hint)
         return value
 
     def rows(self, dataset: str, first: int, end: int) -> "np.ndarray":
         """Rows `first` to `end` of a dataset, checked but for offsets, which mean something only as a whole."""
         value = self._read(dataset, slice(first, end))
-        check_values(self.path, self.name, {dataset: value}, self._hint, part=True)
+        check_values(str(self.path), self.name, {dataset: value}, self._found, self.lengths, self._hint, part=True)
         return value
 
     def row(self, dataset: str, index: int) -> "np.ndarray":
@@ -64,8 +59,10 @@ class Slices:
         return [value.decode() for value in self[dataset]]
 
     def _read(self, dataset: str, where: "slice | tuple[()]") -> "np.ndarray":
+        item = self._found[dataset].item
+        assert item is not None
         try:
-            return self._datasets[dataset][where]
+            return item[where]
         except (OSError, ValueError, MemoryError) as error:
             raise DataError(f"dataset {dataset} is damaged: {error}", str(self.path), self._hint) from None
 

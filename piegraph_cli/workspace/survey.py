@@ -8,11 +8,12 @@ from typing import Any
 from piegraph_cli.workspace.run import FROM_OTHERS, Run
 from piegraph_cli.workspace.stage import Stage, Unit
 
+UNCHECKED = "unchecked: written before artifacts had checksums"
 STATES = ("fresh", "stale", "missing", "failed")
 
 
 def status(run: Run) -> list[dict[str, Any]]:
-    """One row per stage and unit: stage, unit, artifact, its bytes, state, quality, and why it failed or is stale."""
+    """One row per stage and unit: stage, unit, artifact, its bytes, state, quality, why it failed or is stale or unchecked."""
     rows = [_row(run, stage, unit) for stage in run.chain for unit in run.units(stage)]
     run.known.save()
     return rows
@@ -32,8 +33,16 @@ def _row(run: Run, stage: Stage, unit: Unit) -> dict[str, Any]:
         "state": state,
         "quality": header.quality if header and state == "fresh" else "",
         "failure": (run.failure(stage, unit) if state == "failed" else None) or "",
-        "reason": run.why_stale(stage, unit) if state == "stale" else "",
+        "reason": _said_of(run, stage, unit, state),
     }
+
+
+def _said_of(run: Run, stage: Stage, unit: Unit, state: str) -> str:
+    """Why a stale artifact is stale, and what is to know of a fresh one."""
+    header = run.header(stage, unit)
+    if state == "fresh" and header and not header.checked:
+        return UNCHECKED
+    return run.why_stale(stage, unit) if state == "stale" else ""
 
 
 def count_states(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -105,9 +105,9 @@ def text(name, change):
     ("breaks", "file", "message"),
     [
         (text("eef_traj.txt", lambda rows: rows[:-3]), "eef_traj.txt", "27 lines of 3 numbers beside 30 frames"),
-        (text("eef_traj.txt", lambda rows: ["0 0", *rows[1:]]), "eef_traj.txt", "line 2: 3 numbers, 2 before"),
-        (text("eef_traj.txt", lambda rows: [*rows[:-1], "0 0 nan"]), "eef_traj.txt", "line 30: a number that is not"),
-        (text("eef_traj.txt", lambda rows: [*rows[:-1], "0 0 1e"]), "eef_traj.txt", "line 30: could not convert"),
+        (text("eef_traj.txt", lambda rows: ["0 0", *rows[1:]]), "eef_traj.txt", "line 2: has 3 numbers, expected 2"),
+        (text("eef_traj.txt", lambda rows: [*rows[:-1], "0 0 nan"]), "eef_traj.txt", "line 30: 'nan' is not a finite"),
+        (text("eef_traj.txt", lambda rows: [*rows[:-1], "0 0 1e"]), "eef_traj.txt", "line 30: '1e' is no number"),
         (text("eef_traj.txt", lambda rows: []), "eef_traj.txt", "is empty"),
         (text("eef_gripper.txt", lambda rows: rows[:-1]), "eef_gripper.txt", "holds 29 lines of 1 numbers"),
         (lambda p: np.savez(p / "traj.npz", v=np.zeros((FRAMES, 4, 3))), "traj.npz", "has no array xyz"),

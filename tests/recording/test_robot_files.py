@@ -96,7 +96,7 @@ def test_tables_that_cannot_be_right_are_refused_and_nothing_is_kept(recording, 
             "line 3: the quaternion's length is 0.5, not 1",
         ),
         ("image,x,y,z,rx,ry,rz\n0,0,0,0,0,0,90\n", "line 2: the rotation vector is 90 long: are these degrees"),
-        ("image,x,y,z,rx,ry,rz\n0,0,nan,0,0,0,0\n", "line 2: column y: 'nan' is no number"),
+        ("image,x,y,z,rx,ry,rz\n0,0,nan,0,0,0,0\n", "line 2: column y: 'nan' is not a finite"),
         ("image,x,y,z,rx,ry,rz\n0,0,0\n", "line 2: has 3 columns, the first line has 7"),
     ],
 )

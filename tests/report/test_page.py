@@ -16,6 +16,7 @@ from piegraph_cli.report.page import write_report
 from piegraph_cli.report.pictures import Picture
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.workspace.said import keep_warnings
+from tests.hdf5 import edited
 from tests.report.made_run import GOOD, SEQUENCE, empty_run, frames, made_run, put
 from tests.report.page import Page
 
@@ -182,10 +183,9 @@ def test_doubtful_checks_are_told_with_what_to_do(tmp_path):
 
 
 def test_a_damaged_artifact_is_left_out_and_named_once(tmp_path, caplog):
-    import h5py
 
     run = made_run(tmp_path / "run", NAMES, "track")
-    with h5py.File(run.path("masks", "second"), "r+") as file:
+    with edited(run.path("masks", "second")) as file:
         del file["area"]
         file["area"] = [[1.0]]
     written = write_report(run.folder)

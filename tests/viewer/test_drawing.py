@@ -4,7 +4,6 @@ import contextlib
 import socket
 import time
 
-import h5py
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from piegraph_cli.viewer.server import address, start_server
 from piegraph_cli.viewer.source import OpenRun
 from piegraph_cli.viewer.view import add_panels
 from piegraph_cli.viewer.viewer import Viewer
+from tests.hdf5 import edited
 from tests.viewer import made
 
 ALL = ("frames", "masks", "hands", "clouds", "tracks", "scores")
@@ -137,7 +137,7 @@ def test_a_cloud_that_is_too_large_is_thinned_with_a_word(viewer):
 def test_a_damaged_frame_is_told_and_the_others_are_drawn(viewer, monkeypatch):
     told = []
     monkeypatch.setattr(viewer, "tell", lambda *said: told.append(said))
-    with h5py.File(viewer.opened.folder / "tracks" / "first.h5", "r+") as file:
+    with edited(viewer.opened.folder / "tracks" / "first.h5") as file:
         file["positions"][2] = np.nan
     viewer.open(viewer.opened, "first")
     told.clear()

@@ -1,12 +1,12 @@
 """Runs and sequences as they are opened: half done, damaged, of other versions, replaced meanwhile."""
 
-import h5py
 import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.viewer.pictures import Pictures
 from piegraph_cli.viewer.source import OF_SEQUENCE, OpenRun, Sequence
+from tests.hdf5 import edited
 from tests.viewer import made
 
 
@@ -51,7 +51,7 @@ def test_times_begin_at_the_first_frame(tmp_path):
 
 def test_an_artifact_of_another_schema_is_left_out_and_told(tmp_path):
     folder = made.make_run(tmp_path / "run", "frames", "tracks")
-    with h5py.File(folder / "tracks" / "first.h5", "r+") as file:
+    with edited(folder / "tracks" / "first.h5") as file:
         file.attrs["schema_version"] = 0
     sequence = Sequence(OpenRun.of(folder), "first")
     assert sequence.get("tracks") is None

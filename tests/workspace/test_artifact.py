@@ -1,13 +1,26 @@
 """Artifacts: round trip, atomic write, and what a reader refuses."""
 
+from unittest import mock
+
 import h5py
 import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.workspace.artifact import CHUNK_BYTES, Header, read_artifact, read_header, read_key, write_artifact
+from piegraph_cli.workspace import artifact
+from piegraph_cli.workspace.artifact import (
+    CHECKED_FROM,
+    CHUNK_BYTES,
+    Header,
+    read_artifact,
+    read_header,
+    read_key,
+    write_artifact,
+)
 from piegraph_cli.workspace.schema import SCHEMA_VERSION
+from piegraph_cli.workspace.sealed import BLOCK
+from tests.hdf5 import edited, reseal, unsealed
 
 
 def tracks(frames: int = 3, particles: int = 4) -> dict[str, np.ndarray]:
@@ -81,7 +94,7 @@ def test_a_full_disk_is_named_and_keeps_the_old_file(stored):
     ],
 )
 def test_a_reader_names_file_and_dataset(stored, change, message):
-    with h5py.File(stored, "a") as file:
+    with edited(stored) as file:
         change(file)
     with pytest.raises(DataError, match=message) as caught:
         read_artifact(stored, "tracks")
@@ -107,7 +120,11 @@ def test_flipped_bytes_in_data_are_noticed(stored):
     data = bytearray(stored.read_bytes())
     data[start + 20] ^= 0xFF
     stored.write_bytes(bytes(data))
-    with pytest.raises(DataError, match="dataset positions is damaged"):
+    with pytest.raises(DataError, match="the checksum differs"):
+        read_artifact(stored, "tracks")
+    assert read_header(stored, "tracks") is None
+    reseal(stored)
+    with pytest.raises(DataError, match="dataset positions: is damaged"):
         read_artifact(stored, "tracks")
 
 
@@ -119,7 +136,7 @@ def test_key_of_a_missing_or_broken_file_is_none(stored):
 
 
 def test_objects_are_refused(stored):
-    with h5py.File(stored, "a") as file:
+    with edited(stored) as file:
         del file["contact"]
         file.create_dataset("contact", data=["text", "of", "any length"], dtype=h5py.string_dtype())
     with pytest.raises(DataError, match="type that is not allowed"):
@@ -151,7 +168,7 @@ def frames(count: int = 2, cameras: int = 3) -> dict[str, np.ndarray]:
         "K": np.zeros((cameras, 3, 3)),
         "distortion": np.zeros((cameras, 5)),
         "depth_scale": np.ones(cameras),
-        "T_world_camera": np.zeros((cameras, 4, 4)),
+        "T_world_camera": np.tile(np.eye(4), (cameras, 1, 1)),
         "check_figure": np.zeros(1),
         "check_threshold": np.zeros(1),
         **{f"check_{name}": np.array([b"a"], "S128") for name in ("name", "unit", "verdict")},
@@ -192,7 +209,7 @@ def test_offsets_that_contradict_what_they_cut_are_refused_by_writer_and_reader(
         write_artifact(path, name, changed, **rest)
     write_artifact(path, name, arrays, **rest)
     read_artifact(path, name)
-    with h5py.File(path, "a") as file:
+    with edited(path) as file:
         for dataset in changes:
             del file[dataset]
             file[dataset] = changed[dataset]
@@ -204,7 +221,7 @@ def test_offsets_are_checked_when_they_are_read_alone(tmp_path):
     path = tmp_path / "a.h5"
     write_artifact(path, "clouds", clouds(), stage="s", stage_version=1, key="k", params={}, inputs={})
     read_artifact(path, "clouds", ("offsets",))
-    with h5py.File(path, "a") as file:
+    with edited(path) as file:
         file["offsets"][1] = 20
     with pytest.raises(DataError, match="do not rise from 0"):
         read_artifact(path, "clouds", ("offsets",))
@@ -236,9 +253,9 @@ def test_what_a_file_says_of_itself_and_what_it_holds(stored):
 def test_a_header_that_is_damaged_is_none(stored, key, value):
     assert read_header(stored, "tracks") == Header("k", 1, '{"a": 1}', "q")
     assert read_header(stored, "masks") is None
-    with h5py.File(stored, "a") as file:
+    with edited(stored) as file:
         file.attrs[key] = value
-    assert (read_header(stored, "tracks") is None) == (key != "inputs")
+    assert read_header(stored, "tracks") is None
     if key != "stage_version":
         with pytest.raises(DataError):
             read_artifact(stored, "tracks")
@@ -293,7 +310,7 @@ def test_arrays_that_do_not_fit_are_named(tmp_path, changes, message):
 
 
 def test_a_reader_refuses_another_type(stored):
-    with h5py.File(stored, "a") as file:
+    with edited(stored) as file:
         del file["time"]
         file["time"] = np.arange(3, dtype=np.float32)
     with pytest.raises(DataError, match="type float32, expected float64") as caught:
@@ -310,3 +327,106 @@ def test_images_are_those_of_every_frame_and_camera(tmp_path):
     with pytest.raises(DataError, match="6 images, expected 3 frames of 3 cameras"):
         of = frames(2, 3) | {"time": np.arange(3.0), "source_frame": np.zeros((3, 3), int), "stamp": np.zeros((3, 3))}
         write_artifact(path, "frames", of, stage="s", stage_version=1, key="k", params={}, inputs={})
+
+
+def test_every_byte_counts(stored):
+    whole = stored.read_bytes()
+    for place in (0, 5, BLOCK - 1, BLOCK, BLOCK + 9, len(whole) // 2, len(whole) - 1):
+        stored.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        assert read_header(stored, "tracks") is None
+        with pytest.raises(DataError, match=r"checksum differs|no HDF5 signature"):
+            read_artifact(stored, "tracks")
+    for other in (whole + b"\0", whole[:-1], whole[BLOCK:], b"\n" * BLOCK + whole[BLOCK:], b""):
+        stored.write_bytes(other)
+        assert read_header(stored, "tracks") is None
+    stored.write_bytes(whole)
+    assert read_header(stored, "tracks").checked
+
+
+def test_the_same_arrays_are_the_same_bytes(tmp_path, monkeypatch):
+    monkeypatch.setattr(artifact, "datetime", mock.Mock(**{"datetime.now.return_value.isoformat.return_value": "now"}))
+    for name in "ab":
+        write(tmp_path / name, tracks())
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_an_artifact_of_before_there_were_checksums_is_read_unchecked_and_no_other_is(stored):
+    whole = stored.read_bytes()
+    unsealed(stored, CHECKED_FROM - 1)
+    assert read_header(stored, "tracks") == Header("k", 1, '{"a": 1}', "q", checked=False)
+    assert not read_artifact(stored, "tracks").checked
+    with h5py.File(stored, "a") as file:
+        del file["contact"]
+    assert read_header(stored, "tracks") is None, "its structure is looked at"
+    stored.write_bytes(whole)
+    unsealed(stored, SCHEMA_VERSION)
+    assert read_header(stored, "tracks") is None
+    with pytest.raises(DataError, match="lost its checksum"):
+        read_artifact(stored, "tracks")
+    stored.write_bytes(whole)
+    with edited(stored) as file:
+        file.attrs["schema_version"] = CHECKED_FROM - 1
+    with pytest.raises(DataError, match="checksum that it cannot have"):
+        read_artifact(stored, "tracks")
+
+
+@pytest.mark.parametrize(
+    ("dataset", "value", "message"),
+    [
+        ("positions", np.full((3, 4, 3), 100.5), r"100.5 at index \(0, 0, 0\), expected -100 to 100 m"),
+        ("residual", np.array([0, 0, -1e-3]), r"-0.001 at index \(2,\), expected 0 to 100 m"),
+        ("residual", np.array([0, np.inf, np.nan]), r"inf at index \(1,\)"),
+        ("visibility", np.full((3, 4), 1.5), "1.5 at index"),
+        ("mode", np.array([0, 2, 0]), "2 at index"),
+        ("time", np.array([0.0, 1, 1]), "does not rise at index 2"),
+        ("time", np.array([0, 1, 1e12]), "expected -1e"),
+    ],
+)
+def test_values_that_cannot_be_are_refused_by_writer_and_reader(stored, dataset, value, message):
+    with pytest.raises(DataError, match=message):
+        write(stored.with_name("b.h5"), tracks() | {dataset: value})
+    with edited(stored) as file:
+        file[dataset][...] = value
+    with pytest.raises(DataError, match=rf"dataset {dataset}: .*{message}"):
+        read_artifact(stored, "tracks")
+    read_artifact(stored, "tracks", ("contact",))
+
+
+def test_flags_poses_and_texts_that_are_none_are_refused(tmp_path):
+    path = tmp_path / "a.h5"
+    rest = {"stage": "s", "stage_version": 1, "key": "k", "params": {}, "inputs": {}}
+    turned = np.tile(np.eye(4), (3, 1, 1))
+    turned[1, 0, 0] = -1
+    with pytest.raises(DataError, match="no rotation and shift at index 1"):
+        write_artifact(path, "frames", frames() | {"T_world_camera": turned}, **rest)
+    with pytest.raises(DataError, match="no text at index 2"):
+        write_artifact(path, "frames", frames() | {"camera_name": np.array([b"a", b"b", b"\xff"])}, **rest)
+    with pytest.raises(DataError, match="longer than 128 bytes"):
+        write_artifact(path, "frames", frames() | {"camera_name": np.array(["a", "b", "c" * 129])}, **rest)
+    write_artifact(path, "frames", frames() | {"check_text": np.array(["a" * 511 + "ü"])}, **rest)
+    assert read_artifact(path).texts("check_text") == ["a" * 511]
+    with pytest.raises(DataError, match="neither true nor false"):
+        write(path, tracks() | {"contact": np.full(3, 2, np.uint8).view(bool)})
+
+
+def test_indices_stay_within_what_they_name(tmp_path):
+    path, frames_of = tmp_path / "d.h5", 5
+    data = {
+        "positions": np.zeros((frames_of, 4, 3)),
+        "seen": np.ones((frames_of, 4), bool),
+        "end_effector": np.zeros((frames_of, 2)),
+        "strokes": np.array([[0, 4]]),
+        "stroke_sequence": np.zeros(1, int),
+        "stroke_mode": np.zeros(1),
+        "stroke_follows": np.zeros(1, bool),
+        "pairs": np.array([[0, 2], [2, 4]]),
+        "pair_stroke": np.zeros(2, int),
+        "sequence_name": np.array(["s"]),
+        "sequence_start": np.zeros(1, int),
+        "sequence_split": np.zeros(1),
+    }
+    rest = {"stage": "s", "stage_version": 1, "key": "k", "params": {}, "inputs": {}}
+    write_artifact(path, "dataset", data, **rest)
+    for name, value in (("strokes", [[0, 5]]), ("pairs", [[0, 2], [-1, 4]]), ("pair_stroke", [0, 1])):
+        with pytest.raises(DataError, match=f"dataset {name}: .* expected 0 to"):
+            write_artifact(path, "dataset", data | {name: np.array(value)}, **rest)

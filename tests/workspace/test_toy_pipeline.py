@@ -18,6 +18,7 @@ from piegraph_cli.workspace.progress import silent
 from piegraph_cli.workspace.recipe import Recipe, load_recipe, parse_setting
 from piegraph_cli.workspace.run import FROM_OTHERS, Run
 from piegraph_cli.workspace.survey import count_states, foresee, status
+from tests.hdf5 import edited
 from tests.workspace.toy import CALLS, SEEN, TABLE, open_toy, prepare
 
 GATHER, POLISH, PILE, PAINT = (TABLE[name] for name in ("gather", "polish", "pile", "paint"))
@@ -102,6 +103,32 @@ def test_what_is_fresh_is_not_made_again_unless_it_is_forced(made):
     assert run_unit(open_toy(made), POLISH, "s1", Options()).state == "cached"
     assert run_unit(open_toy(made), POLISH, "s1", Options()).quality == "shines 2"
     assert run_unit(open_toy(made), POLISH, "s1", Options(force=True)).state == "done"
+
+
+def test_a_damaged_artifact_is_stale_with_the_reason_and_made_again(made):
+    path, whole = made / "stones" / "s1.h5", (made / "stones" / "s1.h5").read_bytes()
+    path.write_bytes(whole[:-9] + bytes([whole[-9] ^ 4]) + whole[-8:])
+    rows = {(row["stage"], row["unit"]): row for row in status(open_toy(made))}
+    assert rows["gather", "s1"]["state"] == "stale"
+    assert "the checksum differs" in rows["gather", "s1"]["reason"]
+    outcomes = run_chain(open_toy(made), None, Options())
+    assert [(o.stage, o.unit) for o in outcomes if o.state == "done"] == [("gather", "s1")], "the rest is what it was"
+    assert set(states(made).values()) == {"fresh"}
+
+
+def test_values_that_cannot_be_make_an_artifact_stale_when_they_are_read(made):
+    with edited(made / "stones" / "s1.h5") as file:
+        file["weight"][0] = np.nan
+    change(made, "polish", shine=3.0)
+    outcomes = run_chain(open_toy(made), "polish", Options())
+    (failed,) = [o for o in outcomes if o.error]
+    assert (failed.stage, failed.unit) == ("polish", "s1")
+    assert "not finite at index (0,)" in str(failed.error)
+    assert states(made)["gather s1"] == "stale"
+    known._known_of.cache_clear()
+    assert states(made)["gather s1"] == "stale", "another process knows it too"
+    assert {o.state for o in run_chain(open_toy(made), None, Options())} == {"cached", "done"}
+    assert set(states(made).values()) == {"fresh"}
 
 
 def test_a_chain_ends_where_it_is_told_to(folder):

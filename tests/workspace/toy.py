@@ -163,7 +163,7 @@ TABLE: dict[str, Stage] = {
 ARTIFACTS = {
     "stones": {"weight": Field("stone", "kg", "float64")},
     "pebbles": {"shine": Field("stone", "1", "float64")},
-    "heap": {"height": Field("", "m", "float64")},
+    "heap": {"height": Field("", "mm", "float64")},
     "picture": {"paint": Field("", "1", "float64")},
 }
 

@@ -18,6 +18,7 @@ from piegraph_cli.recording.layout import image_size
 from piegraph_cli.recording.numbers import by_number, frame_numbers, match_stamps, number_of
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.plain import load_numbers
+from piegraph_cli.recording.text import read_rows, read_table
 from piegraph_cli.recording.timing import check_times
 
 TURN = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -71,11 +72,7 @@ def end_effector(folder: Path, params: ReadParams) -> EndEffectorPath | None:
 
 def _read_pose(path: Path) -> tuple[np.ndarray, np.ndarray, float]:
     hint = "expected rows: position, three rows of rotation, gripper; or write end_effector.csv (docs/formats.md)"
-    try:
-        rows = [[float(word) for word in line.replace(",", " ").split()] for line in path.read_text().splitlines()]
-    except (OSError, ValueError) as error:
-        raise DataError(f"cannot be read: {error}", str(path), hint) from None
-    rows = [row for row in rows if row]
+    rows = [row for _, row in read_rows(path, hint, commas=True)]
     if [len(row) for row in rows[:4]] != [3] * 4 or len(rows) != 5:
         raise DataError(f"holds {len(rows)} rows of {[len(row) for row in rows]} numbers", str(path), hint)
     turn = np.array(rows[1:4])
@@ -92,14 +89,7 @@ def _camera_folders(folder: Path) -> list[str]:
 def _read_times(path: Path, cameras: int) -> np.ndarray:
     """Absolute times [frame, camera] (s)."""
     hint = f"a line a frame: {cameras} step numbers, {cameras} relative and {cameras} absolute times"
-    try:
-        rows = [[float(word) for word in line.split()] for line in path.read_text().splitlines() if line.strip()]
-    except (OSError, ValueError) as error:
-        raise DataError(f"cannot be read: {error}", str(path), hint) from None
-    odd = next((k for k, row in enumerate(rows) if len(row) != 3 * cameras), None)
-    if odd is not None:
-        raise DataError(f"line {odd + 1} has {len(rows[odd])} numbers, not {3 * cameras}", str(path), hint)
-    return np.array(rows).reshape(-1, 3 * cameras)[:, 2 * cameras :]
+    return read_table(path, hint, 3 * cameras)[:, 2 * cameras :]
 
 
 def _film(folder: Path, K: np.ndarray, T_world_camera: np.ndarray, times: np.ndarray) -> tuple[Film, list[str]]:

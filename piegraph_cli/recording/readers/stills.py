@@ -5,7 +5,6 @@ a longer name will do) and each view's pose, camera to world, in `NAME_pose.txt`
 the underscore.
 """
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import STILL, entries_of
 from piegraph_cli.recording.layout import check_transform, image_size, read_cameras
 from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.text import read_numbers
 
 
 def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
@@ -55,7 +55,7 @@ def _cameras(folder: Path, views: dict[str, dict[str, Path]]) -> tuple[list[Came
         pose, hint = files.get("pose"), f"write {name}_pose.txt: 4 x 4, camera to world; or cameras.json"
         if pose is None:
             raise DataError(f"camera {name} has no pose", str(folder), hint)
-        numbers = _numbers(pose)
+        numbers = read_numbers(pose, hint, commas=True)
         if len(numbers) != 16:
             raise DataError(f"holds {len(numbers)} numbers", str(pose), hint)
         T = check_transform(numbers.reshape(4, 4), "the pose", str(pose), hint)
@@ -64,19 +64,9 @@ def _cameras(folder: Path, views: dict[str, dict[str, Path]]) -> tuple[list[Came
 
 
 def _intrinsics(path: Path) -> np.ndarray:
-    values = _numbers(path)
+    values = read_numbers(path, "numbers with spaces between", commas=True)
     if len(values) == 4:
         values = np.array([values[0], 0, values[2], 0, values[1], values[3], 0, 0, 1])
     if len(values) != 9:
         raise DataError("must hold a 3 x 3 matrix, or fx fy cx cy", str(path), "focal lengths are positive pixels")
     return check_intrinsics(values.reshape(3, 3), "the matrix", str(path))
-
-
-def _numbers(path: Path) -> np.ndarray:
-    try:
-        values = np.array([float(word) for word in re.split(r"[\s,]+", path.read_text().strip()) if word])
-    except (OSError, ValueError) as error:
-        raise DataError(f"cannot be read: {error}", str(path), "numbers with spaces between") from None
-    if not np.isfinite(values).all():
-        raise DataError("holds a number that is not finite", str(path), "numbers with spaces between")
-    return values

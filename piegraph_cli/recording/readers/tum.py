@@ -14,8 +14,10 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import check_transform, image_size
 from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.text import parse_number, read_lines, read_numbers, read_table
 from piegraph_cli.recording.timing import check_times, matched
 
+LAYOUT = "see docs/formats.md for the layout"
 DEPTH_SCALE = 1 / 5000
 SKEW = 0.02
 """Seconds that colour and depth of a frame may be apart."""
@@ -50,41 +52,29 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
 
 def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
     """Times [image] (s) and image files of a list."""
-    rows = [line.split() for line in _lines(path)]
-    if not rows or any(len(row) != 2 for row in rows):
+    rows = [(n, line.split()) for n, line in read_lines(path, LAYOUT)]
+    if not rows or any(len(words) != 2 for _, words in rows):
         raise DataError("lines must be: time file", str(path), "lists of the TUM RGB-D layout have two columns")
-    files = [path.parent / row[1] for row in rows]
+    files = [path.parent / words[1] for _, words in rows]
     missing = next((f for f in files if not f.is_file()), None)
     missing = missing or next((f for f in files if not f.resolve().is_relative_to(path.parent.resolve())), None)
     if missing:
         raise DataError(f"image {missing.name} is not in the sequence", str(path), "copy rgb/ and depth/ as a whole")
-    return _numbers([row[:1] for row in rows], 1, path)[:, 0], files
+    return np.array([_time(words[0], f"{path}, line {n}") for n, words in rows]), files
 
 
-def _lines(path: Path) -> list[str]:
+def _time(word: str, where: str) -> float:
     try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot be read: {error}", str(path), "see docs/formats.md for the layout") from None
-    return [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-
-
-def _numbers(rows: list[list[str]], columns: int, path: Path) -> np.ndarray:
-    try:
-        if any(len(row) != columns for row in rows):
-            raise ValueError
-        values = np.array([[float(word) for word in row] for row in rows]).reshape(-1, columns)
-    except ValueError:
-        raise DataError(f"lines must be {columns} numbers", str(path), "see docs/formats.md for the layout") from None
-    return values
+        return parse_number(word)
+    except ValueError as error:
+        raise DataError(str(error), where, LAYOUT) from None
 
 
 def _intrinsics(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     path = folder / "calibration.txt"
     known = re.search("freiburg[123]", folder.name)
     if path.is_file():
-        words = " ".join(_lines(path)).split()
-        values = _numbers([words], len(words), path)[0]
+        values = read_numbers(path, LAYOUT)
     elif known:
         values = np.array(PUBLISHED[known.group()])
     else:
@@ -102,7 +92,7 @@ def _pose(folder: Path, times: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     path = folder / "groundtruth.txt"
-    rows = _numbers([line.split() for line in _lines(path)], 8, path)
+    rows = read_table(path, LAYOUT, 8, bounded=False)
     rows = rows[(np.abs(rows) < LARGEST).all(1)]
     during = rows[(rows[:, 0] >= times[0] - 1) & (rows[:, 0] <= times[-1] + 1)]
     if not len(during) or (np.abs(np.log2(np.linalg.norm(during[:, 4:], axis=1))) > 1).any():

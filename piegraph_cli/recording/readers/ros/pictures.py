@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.recording.encoded import MOST_PIXELS, decode_image
 
 QUALITY = 95
 """Of JPEG images made of raw ones."""
@@ -24,7 +25,6 @@ TO_BGR = {
     "yuyv": "COLOR_YUV2BGR_YUYV",
 }
 PNG = b"\x89PNG"
-MOST_PIXELS = 1 << 26
 
 
 def is_depth(encoding: str) -> bool:
@@ -51,15 +51,10 @@ def encoded_color(message: Any, where: str) -> tuple[bytes, tuple[int, int]]:
 
 def decoded(data: bytes, flag: int, where: str) -> np.ndarray:
     """The image of encoded bytes."""
-    import cv2
-
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flag) if data else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise DataError("the image cannot be decoded", where, "export the recording again")
-    return image
+        return decode_image(data, flag)
+    except ValueError as error:
+        raise DataError(f"the image cannot be decoded: {error}", where, "export the recording again") from None
 
 
 def depth_scale(encoding: str) -> float:

@@ -65,7 +65,7 @@ class Model:
     ) -> Answer:
         """The next strokes for an object whose cloud or particles are `state` [P, 3] (m), P at least `particles`.
 
-        The goal is a cloud [G, 3] (m), whose points are the object's particles in their order where it `corresponds`, a
+        The goal is a cloud [G, 3] (m), which with the state is the object's particles in one order where it `corresponds`, a
         motion of the object from where it is now (DX, DY (m), DYAW (rad)), or a pose in the world (X, Y (m), YAW (rad)):
         where the middle of the trained rest shape, `trained.rest`, shall be, and how far it is turned from how that lies.
         With `rest` [N, 3] (m), its rest shape, the state are its particles in the same order, as a tracker follows them.

@@ -53,8 +53,8 @@ def answer(
 ) -> Answer:
     """The next strokes for an object whose cloud or particles are `state` [P, 3] (m), in the world of `params.table`.
 
-    The goal is a cloud [G, 3] (m) in that world, whose points are the object's particles in their order where it
-    `corresponds`; without one it is the pose that the settings name. Where `rest` [N, 3] (m) is given, the state are its
+    The goal is a cloud [G, 3] (m) in that world; without one it is the pose that the settings name. Where it `corresponds`,
+    state and goal are the object's particles in one order. Where `rest` [N, 3] (m) is given, the state are its
     particles in the same order, as a tracker follows them; else particles are chosen in the cloud, and springs and
     neighbours are those of the object as it lies now. `trained` is None where `params.model` is not trained; the search is
     on `device`. Raises `DataError` for states and goals, and `UsageError` for settings, that cannot be used.
@@ -68,8 +68,13 @@ def answer(
         )
     T = level(params.table or (0, 0, 0))
     cloud = moved(finite(state, "state"), T)
-    seen, warnings = _particles(cloud, trained, params, rest)
     there = None if goal is None else moved(finite(goal, "goal"), T)
+    if corresponds and (there is None or len(there) != len(cloud)):
+        message = f"{len(cloud)} particles now and {'none' if there is None else len(there)} in the goal"
+        raise DataError(
+            message, "goal", "give the same particles in the same order, or a goal that does not correspond"
+        )
+    seen, warnings = _particles(cloud, trained, params, rest, rest is not None or corresponds)
     target = wanted(trained, params, cloud, seen, there, corresponds)
     if there is not None and trained is not None and trained.sizes is not None:
         warnings += check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
@@ -115,16 +120,19 @@ def _on_table(pose: Pose, table: Sequence[float]) -> Pose:
 
 
 def _particles(
-    cloud: np.ndarray, trained: Trained | None, params: PlanParams, rest: np.ndarray | None
+    cloud: np.ndarray, trained: Trained | None, params: PlanParams, rest: np.ndarray | None, ordered: bool
 ) -> tuple[np.ndarray, list[str]]:
-    """The object's particles [N, 3] (m), and what is to be said of them and of the cloud [P, 3]."""
+    """The object's particles [N, 3] (m), and what is to be said of them and of the cloud [P, 3].
+
+    They are chosen in the cloud, but where its points are particles that are `ordered` as others are.
+    """
     warnings, count = _above_table(cloud), trained.particles if trained else PARTICLES
     if rest is not None and np.shape(rest) != np.shape(cloud):
         raise DataError(f"{len(cloud)} particles, {len(rest)} at rest", "state", "give both of the same particles")
     if len(cloud) < count:
         raise DataError(f"{len(cloud)} points, the model needs {count} or more", "state", "give the whole cloud")
     few = thinned(cloud, STATE_POINTS)
-    seen = cloud if rest is not None else choose_particles(few, count).astype(np.float32)
+    seen = cloud if ordered else choose_particles(few, count).astype(np.float32)
     if trained is not None and trained.sizes is not None and not warnings:
         warnings += check_object(few, seen, trained.sizes)
     if trained is not None and rest is None:

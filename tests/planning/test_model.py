@@ -77,8 +77,12 @@ def test_a_plan_needs_one_goal_and_enough_points():
     moved = STATIC.plan(cloud, goal_pose=(0.1, 0, 0), **few)
     assert moved.start_distance == pytest.approx(0.1, rel=1e-4)
     assert len(moved.steps) == 1
-    there = STATIC.plan(cloud, goal=moved.start, corresponds=True, **few)
+    there = STATIC.plan(cloud, goal=cloud, corresponds=True, **few)
     assert (there.steps, there.start_distance) == ([], 0)
-    shuffled = moved.start[::-1] + np.float32([0.05, 0, 0])
-    assert STATIC.plan(cloud, goal=shuffled, corresponds=True, **few).start_distance > 0.05
+    beside = cloud + np.array([0.1, 0, 0])
+    assert STATIC.plan(cloud, goal=beside, corresponds=True, **few).start_distance == pytest.approx(0.1, rel=1e-4)
+    shuffled = cloud[::-1] + np.float32([0.05, 0, 0])
+    assert STATIC.plan(cloud, goal=shuffled, corresponds=True, **few).start_distance > 0.06
+    with pytest.raises(DataError, match="50 particles now and 49 in the goal"):
+        STATIC.plan(cloud, goal=cloud[1:], corresponds=True, **few)
     assert STATIC.plan(cloud, goal=shuffled, **few).start_distance == pytest.approx(0.051, abs=2e-3), "one shape"

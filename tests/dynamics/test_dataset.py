@@ -73,7 +73,7 @@ def run(found: dict, **settings):
 def test_the_dataset_says_what_was_not_seen_and_where():
     found = {"one": hidden(), "two": hidden(*range(10, 21)), "three": hidden()}
     output = run(found)
-    assert "left out, object not seen: 1 strokes, 19 pairs" in output.quality
+    assert "left out, object not seen: 1 stroke, 19 pairs" in output.quality
     (warning,) = output.warnings
     assert "11 frames see too little" in warning
     assert "two (11 frames)" in warning

@@ -80,7 +80,7 @@ def test_a_file_splits_as_its_names_do(tmp_path):
     by_name = dataset.run({"tracks": found}, DatasetParams(**names), context())
     assert by_file.arrays["sequence_name"].tolist() == ["a", "b", "d", "e"]
     assert by_file.arrays["sequence_split"].tolist() == [VALIDATION, TRAIN, TRAIN, TEST]
-    assert "1 sequences in no part of the split" in by_file.quality
+    assert "1 sequence in no part of the split" in by_file.quality
     assert all((by_file.arrays[name] == by_name.arrays[name]).all() for name in by_file.arrays)
     path.write_text("b,train\nnobody\n")
     with pytest.raises(DataError, match="cannot read 'nobody'") as error:

@@ -119,7 +119,7 @@ def stubs(scene):
         noted.found.append((color, depth, [c.name for c in cameras], hand_px, workspace, params))
         return seeds.ObjectSeed(2, [view.object for view in scene.views[2]])
 
-    def masks(images, depths, camera, hand_px, workspace, seed_frame, seed_mask, params, tips, within):
+    def masks(images, depths, camera, hand_px, workspace, seed_frame, seed_mask, params, tips, progress, within):
         assert within is None, "the stage follows it all the way"
         noted.segmented.append((images, depths, camera.name, hand_px, workspace, seed_frame, seed_mask, params))
         c = NAMES.index(camera.name)
@@ -413,10 +413,9 @@ def test_hands_seen_nowhere_are_an_error_and_seldom_a_warning(run, scene, monkey
 def test_sam_is_prompted_where_there_are_prompts(run, scene, stubs, monkeypatch):
     inputs, seen = inputs_of(run, "frames", "hands"), []
 
-    def masks(
-        network, images, depths, camera, px, workspace, seed_frame, seed_mask, params, tips, key_every, prompt, within
-    ):
-        assert within is None, "the stage follows it all the way"
+    def masks(network, images, depths, camera, px, workspace, seed_frame, seed_mask, params, tips, **given):
+        key_every, prompt = given["key_every"], given["prompt"]
+        assert given["within"] is None, "the stage follows it all the way"
         seen.append((network, camera.name, seed_frame, bool(seed_mask.any()), key_every, prompt and prompt.box))
         return np.zeros((FRAMES, 80, 106), bool)
 

@@ -87,5 +87,5 @@ def test_a_file_splits_as_its_names_do(tmp_path):
         dataset.run({"tracks": found}, DatasetParams(split=path), context())
     assert error.value.where == f"{path}, line 2"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match="not a readable text file"):
+    with pytest.raises(DataError, match="cannot be read: "):
         dataset.run({"tracks": found}, DatasetParams(split=path), context())

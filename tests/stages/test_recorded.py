@@ -20,6 +20,7 @@ from piegraph_cli.recording.images import ImageStack, encode_masks
 from piegraph_cli.recording.layout import read_cameras, read_times
 from piegraph_cli.stages import STAGES, evaluate, fuse, open_run, score, segment, simulate, track
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of, source_frames, workspace_of
+from piegraph_cli.text import plain
 from piegraph_cli.workspace.artifact import read_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
 from piegraph_cli.workspace.recipe import Recipe
@@ -329,7 +330,7 @@ def test_scores_are_summarised_by_name(run):
     assert row["values"] == 2 * FRAMES
     assert row["mean"] == pytest.approx(both.mean())
     assert (row["median"], row["p90"]) == (pytest.approx(np.median(both)), pytest.approx(np.quantile(both, 0.9)))
-    (line,) = (line for line in lines if line.startswith("tracked particles, all frames"))
+    (line,) = (line for line in plain(lines) if line.startswith("tracked particles, all frames"))
     assert line.split()[5:] == [str(2 * FRAMES), *(f"{row[name]:.3f}" for name in ("mean", "median", "p90"))]
     assert metrics == {}
 

@@ -3,25 +3,29 @@
 import os
 import signal
 import sys
-from pathlib import Path
+from collections.abc import Iterator
 
 left = int(sys.argv[1])
 sys.argv = ["piegraph", *sys.argv[2:]]
-write_bytes = Path.write_bytes
-
-
-def write_half_and_die(self: Path, data: bytes) -> int:
-    global left
-    left -= 1
-    if left > 0:
-        return write_bytes(self, data)
-    write_bytes(self, data[: len(data) // 2])
-    os.kill(os.getpid(), signal.SIGKILL)
-    return 0
-
-
-Path.write_bytes = write_half_and_die
 
 from piegraph_cli.commands.program import main  # noqa: E402
+from piegraph_cli.workspace import artifact  # noqa: E402
 
+sealed = artifact.sealed
+
+
+def half_and_die(image: bytes) -> Iterator[bytes]:
+    """What is written of an artifact."""
+    global left
+    left -= 1
+    seal, image = sealed(image)
+    yield seal
+    if left > 0:
+        yield image
+        return
+    yield image[: len(image) // 2]
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+artifact.sealed = half_and_die
 main()

@@ -40,6 +40,7 @@ BOARDS = {
     r"calibrate .*--intrinsics": "several",
     r"calibrate .*--board grid": "tags",
     r"calibrate .*--robot": "gripper",
+    r"calibrate .*--table": "tilted",
     r"calibrate .*(--touched|--sequence board --columns)": "flat",
 }
 """Which recording of boards stands for the user's."""
@@ -87,7 +88,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, sample_run: Path, tiny_run:
     made = tmp_path_factory.mktemp("user")
     for name in ("pipelines", "sample_data"):
         (made / name).symlink_to(REPOSITORY / name)
-    shutil.copytree(SAMPLE, made / "my_recording")
+    for name in ("my_recording", "tilted"):
+        shutil.copytree(SAMPLE, made / name)
     for name, of in {"demo": sample_run, "mine": sample_run, "x": sample_run, "tblock": tiny_run}.items():
         shutil.copytree(of, made / "runs" / name)
     for name, (board, sequences) in SHEETS.items():

@@ -1,5 +1,6 @@
 """Every command of README.md and docs/, word by word and run: long ones at a small size, in a user's folder."""
 
+import json
 import re
 import shlex
 import shutil
@@ -16,7 +17,7 @@ from piegraph_cli.workspace.artifact import read_artifact
 from tests.cli import REPOSITORY, SAMPLE
 from tests.commands.inside import piegraph, piegraph_json
 from tests.recording.board_scene import RIG, picture, pose, record
-from tests.recording.test_robot_files import GRIPPER, held, poses, table, to_robot
+from tests.recording.test_robot_files import BASE, GRIPPER, held, poses, table, to_robot
 
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 SMALL = {"train": ("--steps", "30", "--hidden", "8", "--layers", "2")}
@@ -90,6 +91,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, sample_run: Path, tiny_run:
         (made / name).symlink_to(REPOSITORY / name)
     for name in ("my_recording", "tilted"):
         shutil.copytree(SAMPLE, made / name)
+    cameras = json.loads((made / "my_recording" / "cameras.json").read_text())
+    (made / "my_recording" / "cameras.json").write_text(json.dumps(cameras | {"T_world_robot": BASE.tolist()}))
     for name, of in {"demo": sample_run, "mine": sample_run, "x": sample_run, "tblock": tiny_run}.items():
         shutil.copytree(of, made / "runs" / name)
     for name, (board, sequences) in SHEETS.items():

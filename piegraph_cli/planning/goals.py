@@ -24,9 +24,9 @@ ROUNDS = 30
 SAME_SHAPE, MARGIN = 1.5, 0.004
 """Two clouds have one shape whose chamfer distance is below so many times that of the goal's own halves, and so many metres."""
 AS_GOOD = 1.15
-"""A place counts beside the best one whose distance is below so many times its own, or than that of the goal's halves."""
-APART = 0.01
-"""Metres between points of places that are not the same."""
+"""A place counts beside the best one whose distance is below so many times its own, or than is expected of the true place."""
+APART = 0.02
+"""Metres between points of places that are not the same: what lies nearer to a better place is laid less well."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,10 @@ class Goal:
         """
         goal = thinned(goal, GOAL_POINTS).astype(np.float32)
         cloud = thinned(cloud, GOAL_POINTS).astype(np.float32)
-        moved = _places(cloud, goal, np.asarray(particles, np.float32), _grain(goal))
+        grain = _grain(goal)
+        # halves are sparser than wholes: so near should the whole clouds be, points at random on one surface
+        expected = grain * (np.sqrt(1 / 2) + np.sqrt(len(goal) / 2 / len(cloud))) / 2
+        moved = _places(cloud, goal, np.asarray(particles, np.float32), grain, float(expected))
         return cls(goal, moved if len(moved) else None)
 
     @classmethod
@@ -65,7 +68,8 @@ class Goal:
         cloud = thinned(cloud, GOAL_POINTS).astype(np.float32)
         placed = _posed(rest, pose)
         seen, chosen, own = (_flat(points) for points in (cloud, particles, rest))  # a camera sees no underside
-        there = _places(own, seen, own, chamfer(chosen, seen))
+        near = chamfer(chosen, seen)
+        there = _places(own, seen, own, near, near)
         motions = [planar_fit(now[:, :2], placed[:, :2]) for now in there]
         moved = [np.column_stack([moved_in_plane(particles[:, :2], m), particles[:, 2]]) for m in motions]
         found = np.array(_distinct(moved), np.float32).reshape(-1, *particles.shape)
@@ -104,10 +108,11 @@ def _grain(goal: np.ndarray) -> float:
     return chamfer(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
 
 
-def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: float) -> np.ndarray:
+def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: float, expected: float) -> np.ndarray:
     """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not.
 
-    `grain` (m) is the chamfer distance of clouds that lie on each other.
+    `grain` (m) says how coarse the goal is, `expected` (m) which chamfer distance these clouds have where one lies on the
+    other.
     """
     few, there = thinned(cloud, COARSE), thinned(goal, COARSE)
     tries = []
@@ -127,7 +132,7 @@ def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: f
     good = [
         placed
         for apart, placed in found
-        if apart <= min(SAME_SHAPE * grain + MARGIN, AS_GOOD * max(grain, found[0][0]))
+        if apart <= min(SAME_SHAPE * grain + MARGIN, AS_GOOD * max(expected, found[0][0]))
     ]
     return np.array(_distinct(good), np.float32).reshape(-1, *particles.shape)
 

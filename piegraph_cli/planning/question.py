@@ -16,6 +16,7 @@ from piegraph_cli.planning.episode import Episode, plan_once
 from piegraph_cli.planning.expected import check_folds, check_goal, check_object
 from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.path import top_of
 from piegraph_cli.recording.ground import level, moved
 
 Pose = tuple[float, float, float]
@@ -75,6 +76,10 @@ def answer(
             message, "goal", "give the same particles in the same order, or a goal that does not correspond"
         )
     seen, warnings = _particles(cloud, trained, params, rest, rest is not None or corresponds)
+    top = top_of(seen)
+    if top >= params.approach_height and not _above_table(cloud):
+        text = f"the tool would come and go at {params.approach_height:g} m, through an object that is {top:.3f} m high"
+        raise UsageError(text, "plan.approach_height", f"more than {top:.3f}")
     target = wanted(trained, params, cloud, seen, there, corresponds)
     if there is not None and trained is not None and trained.sizes is not None:
         warnings += check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)

@@ -75,7 +75,7 @@ Pose2 = Annotated[tuple[float, float, float], BeforeValidator(split_commas), Aft
 Box = Annotated[
     tuple[float, float, float, float, float, float], BeforeValidator(split_commas), AfterValidator(_check_box)
 ]
-Boxes = Annotated[tuple[Box, ...], BeforeValidator(split_boxes)]
+Boxes = Annotated[tuple[Box, ...], BeforeValidator(split_boxes), Field(max_length=100)]
 """Boxes one after the other; on the command line with a semicolon between them."""
 Table = Annotated[tuple[float, float, float], BeforeValidator(_plane), AfterValidator(_check_slopes)]
 """The plane z = height [m] + a x + b y in which a table lies; the height alone where it is level."""

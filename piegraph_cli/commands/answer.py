@@ -20,6 +20,8 @@ class Answer(logging.Handler):
         self.result: dict[str, Any] | None = None
         self.warnings: list[str] = []
         self.error: dict[str, Any] | None = None
+        self.told = False
+        """Whether stdout has all that it shall have: then nothing is printed at the end."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a warning; what is logged as an error comes as the command's error."""

@@ -139,7 +139,8 @@ def call(arguments: Sequence[str]) -> int:
             answer.error = error_object(PiegraphError(f"{type(bug).__name__}: {bug}", "bug in piegraph", hint))
             raise
         finally:
-            if wants_json(arguments) and (answer.result is not None or answer.error is not None):
+            said_more = answer.result is not None or answer.error is not None
+            if wants_json(arguments) and said_more and not answer.told:
                 print(answer.text(), flush=True)
     return code
 

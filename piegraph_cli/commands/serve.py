@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from piegraph_cli.commands.answer import answer
 from piegraph_cli.commands.options import AsJson, Device
 from piegraph_cli.commands.stages import require_run
 from piegraph_cli.errors import DataError, UsageError
@@ -63,6 +64,7 @@ def _on_stdio(what: tuple[Any, ...]) -> None:
     from piegraph_cli.service.stdio import serve_lines, stdout_alone
 
     with stdout_alone() as answers, opened_service(*what) as service:
+        answer().told = True  # stdout belongs to the answers
         print(f"{_what(service)} answers JSON lines on stdin", file=sys.stderr, flush=True)
         serve_lines(service, sys.stdin.buffer, answers)
 
@@ -131,6 +133,7 @@ def _tell(service: "Service", url: str, as_json: bool) -> None:
 
     if as_json:
         value = {"url": url, "model": service.model.label, "key": service.origin.key}
+        answer().told = True  # first: whoever reads the line may end the server at once
         print(envelope("serve", value, [], None).text.decode(), flush=True)
     else:
         print(f"{url}  ({_what(service)}; Ctrl-C ends it)", flush=True)

@@ -103,6 +103,8 @@ def _run(stage: Stage, run: "Run", options: "Options") -> Report:
 def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) -> Report:
     """Run the stage in a folder that borrows what the run has: nothing is written into it. The artifact is kept in `out`."""
     written = f"{stage.writes}.h5"
+    if out is not None:
+        _check_out(out, stage)
     own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json"}
     with tempfile.TemporaryDirectory(prefix="piegraph-") as made:
         folder = Path(made)
@@ -121,6 +123,17 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
     if report.value and stage.name in report.value:
         report.value[stage.name] = str(out) if out else None
     return report
+
+
+def _check_out(out: Path, stage: Stage) -> None:
+    """Refuse to write where something else is, a model or a recipe, say. Raises `UsageError`."""
+    from piegraph_cli.workspace.artifact import read_header
+
+    if out.is_dir():
+        raise UsageError("is a folder", str(out), f"name a file in it: --out {out / f'{stage.writes}.h5'}")
+    if os.path.lexists(out) and read_header(out, stage.writes) is None:
+        text = f"there is something already that is no {stage.writes} of this version"
+        raise UsageError(text, str(out), "remove it, or --out FILE by another name")
 
 
 def _accepted(outcomes: "Sequence[Outcome]") -> bool:

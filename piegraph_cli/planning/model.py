@@ -48,6 +48,8 @@ class Model:
             raise DataError(
                 f"positions {list(now.shape)} for {len(strokes)} strokes", "predict", "give [B, N, 3] or [N, 3]"
             )
+        if now.shape[1] < 2:
+            raise DataError("one particle is no object", "positions", "give all particles of it")
         finite(now.reshape(-1, now.shape[-1]), "positions")
         predict = self.of_object(now[0] if rest is None else rest)
         return predict(torch.as_tensor(now), strokes.to(torch.float32)).numpy()

@@ -32,7 +32,7 @@ class Place(NamedTuple):
         file, colon, frame = text.rpartition(":")
         numbered = bool(colon) and frame.lstrip("-").isdigit()
         file = file if numbered else text
-        keyed = re.fullmatch(r"(.+\.npz):([^:/]+)", file)
+        keyed = re.fullmatch(r"(.+\.npz):(.+)", file)
         file, key = keyed.groups() if keyed else (file, None)
         return cls(Path(file), int(frame) if numbered else None, key)
 
@@ -78,7 +78,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     cem_iterations: int = Field(5, ge=1, description="iterations of the planner")
     converged: float = Field(2e-4, ge=0, description="CEM ends when its elites' costs lie within this [m]")
     elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites of CEM")
-    temperature: float = Field(0.005, gt=0, description="cost that MPPI finds much [m]")
+    temperature: float = Field(0.005, ge=1e-6, description="cost that MPPI finds much [m]")
     noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")
     strokes: int = Field(13, ge=1, description="most strokes in one episode")
     state_noise: float = Field(
@@ -101,7 +101,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     )
     approach_height: float = Field(0.1, gt=0, description="height above the table at which the tool comes and goes [m]")
     retreat: float = Field(0.02, ge=0, description="how far a push goes back along itself before the tool rises [m]")
-    speed: float = Field(0.1, gt=0, description="of the tool, all along its path [m/s]")
+    speed: float = Field(0.1, ge=1e-3, le=10, description="of the tool, all along its path [m/s]")
     seed: int = Field(0, ge=0, description="seed of starts, goals and candidates")
 
     @model_validator(mode="after")

@@ -37,11 +37,12 @@ def tool_path(ends: np.ndarray, mode: int, before: np.ndarray, params: PlanParam
 
     A push goes at half of the object's height, then back along itself by `retreat`, so that the tool leaves the object
     before it rises. A pick grasps at the height of the particle it is at, lifts, carries, and lets go a little higher.
+    Neither goes below the table, whatever noise says of the particles.
     """
     start, end = ends.astype(float)
     high = params.approach_height
     if mode == PICK:
-        low = float(before[np.linalg.norm(before[:, :2] - start, axis=1).argmin(), 2])
+        low = max(0.0, float(before[np.linalg.norm(before[:, :2] - start, axis=1).argmin(), 2]))
         heights = [high, low, low + LIFT, low + LIFT, low + LET_GO, high]
         places, closed = [start] * 3 + [end] * 3, [False, True, True, True, False, False]
     else:
@@ -57,7 +58,12 @@ def tool_path(ends: np.ndarray, mode: int, before: np.ndarray, params: PlanParam
 
 def tip_height(particles: np.ndarray) -> float:
     """How high (m) the tip pushes an object [N, 3] (m): at half of its height."""
-    return float(np.percentile(particles[:, 2], 95)) / 2
+    return max(0.0, top_of(particles) / 2)
+
+
+def top_of(particles: np.ndarray) -> float:
+    """How high (m) above the table an object [N, 3] (m) reaches, but for single particles."""
+    return float(np.percentile(particles[:, 2], 95))
 
 
 def hits(start: torch.Tensor, end: torch.Tensor, picks: torch.Tensor, boxes: torch.Tensor) -> torch.Tensor:

@@ -16,6 +16,7 @@ from piegraph_cli.planning.episode import Episode, plan_once
 from piegraph_cli.planning.expected import check_folds, check_goal, check_object
 from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.path import top_of
 from piegraph_cli.recording.ground import level, moved
 
 Pose = tuple[float, float, float]
@@ -59,13 +60,6 @@ def answer(
     neighbours are those of the object as it lies now. `trained` is None where `params.model` is not trained; the search is
     on `device`. Raises `DataError` for states and goals, and `UsageError` for settings, that cannot be used.
     """
-    if not params.workspace[4] < params.approach_height <= params.workspace[5]:
-        low, high = params.workspace[4:]
-        raise UsageError(
-            f"{params.approach_height:g} m is outside the workspace's heights, {low:g} to {high:g} m",
-            "plan.approach_height",
-            "a height within --workspace",
-        )
     T = level(params.table or (0, 0, 0))
     cloud = moved(finite(state, "state"), T)
     there = None if goal is None else moved(finite(goal, "goal"), T)
@@ -75,12 +69,27 @@ def answer(
             message, "goal", "give the same particles in the same order, or a goal that does not correspond"
         )
     seen, warnings = _particles(cloud, trained, params, rest, rest is not None or corresponds)
+    _check_approach(params, cloud, seen)
     target = wanted(trained, params, cloud, seen, there, corresponds)
     if there is not None and trained is not None and trained.sizes is not None:
         warnings += check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
     shape = seen if rest is None else moved(finite(rest, "rest"), T)
     found = plan_once(trained, seen, target, params, device, shape)
     return Answer(**vars(found), warnings=tuple(warnings))
+
+
+def _check_approach(params: PlanParams, cloud: np.ndarray, particles: np.ndarray) -> None:
+    """Raises `UsageError` where the tool would come and go outside the workspace, or through the object."""
+    (low, high), height, top = params.workspace[4:], params.approach_height, top_of(particles)
+    if not low < height <= high:
+        text, hint = (
+            f"{height:g} m is outside the workspace's heights, {low:g} to {high:g} m",
+            "a height within --workspace",
+        )
+        raise UsageError(text, "plan.approach_height", hint)
+    if top >= height and not _above_table(cloud):
+        text = f"the tool would come and go at {height:g} m, through an object that is {top:.3f} m high"
+        raise UsageError(text, "plan.approach_height", f"more than {top:.3f}")
 
 
 def wanted(

@@ -3,13 +3,13 @@
 import asyncio
 import errno
 import hmac
-import ipaddress
 import socket
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from http import HTTPStatus
 
 from piegraph_cli.errors import DataError, MissingError, PiegraphError, UsageError
+from piegraph_cli.service.hosts import is_ours
 from piegraph_cli.service.requests import MOST_BYTES, REQUESTS
 from piegraph_cli.service.service import Reply, Service, envelope
 
@@ -60,7 +60,7 @@ class Gate:
         address, which the host it names tells, or across origins, which the header of that name tells.
         """
         host = request.headers.get("host", "")
-        if not _is_ours(host, self.host):
+        if not is_ours(host, self.host):
             text = f"this server is not called {host[:80]!r}"
             return HTTPStatus.MISDIRECTED_REQUEST, UsageError(text, "Host", f"ask {self.host}")
         if "origin" in request.headers:
@@ -77,18 +77,6 @@ class Gate:
                 f"not JSON but {kind[:80] or 'unnamed'}", "Content-Type", hint
             )
         return None
-
-
-def _is_ours(host: str, listens: str) -> bool:
-    """Whether a Host header names an address, this machine, or what is listened on: no name that a website chose."""
-    name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
-    if name.lower() in ("localhost", listens.lower(), socket.gethostname().lower()):
-        return True
-    try:
-        ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
-    except ValueError:
-        return False
-    return True
 
 
 @dataclass

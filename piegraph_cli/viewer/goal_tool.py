@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from piegraph_cli.errors import command_line
 from piegraph_cli.params import mode_word
 from piegraph_cli.recording.ground import level, moved
 from piegraph_cli.recording.points import write_points
@@ -146,7 +147,7 @@ class GoalTool(Tool):
         T_world_table = np.linalg.inv(level(run.params("ingest").table))
         write_points(path, moved(self.shape.points, T_world_table))
         at = self._tracks().path
-        command = f"piegraph plan --run {run.folder} --state {at}:{self.frame} --goal {path}"
+        command = command_line("plan", "--run", run.folder, "--state", f"{at}:{self.frame}", "--goal", path)
         self.told.content = "\n\n".join([f"saved as {path}", f"`{command}`", *self._doubt()])
 
     def _plan(self) -> None:

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from piegraph_cli.errors import command_line
 from piegraph_cli.evaluation.overlays import draw_mask, label
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.stages import STAGES, open_run, segment
@@ -155,4 +156,4 @@ def told_stale(slots: Collection[Slot], run: Run) -> str:
         if found := sorted(unit or "" for name, unit in slots if name == stage.name):
             units[stage.name] = found
     said = [name if found == [""] else f"{name} ({', '.join(found)})" for name, found in units.items()]
-    return f"Stale now: {', '.join(said)}. Make it again: `piegraph run --run {run.folder}`"
+    return f"Stale now: {', '.join(said)}. Make it again: `{command_line('run', '--run', run.folder)}`"

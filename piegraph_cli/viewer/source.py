@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piegraph_cli.errors import DataError, PiegraphError
+from piegraph_cli.errors import DataError, PiegraphError, command_line
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.stages import open_run, sequences
 from piegraph_cli.workspace.run import Run
@@ -47,7 +47,7 @@ class OpenRun:
         producer = self.run.producer(artifact)
         if self.trouble:
             return self.remedy
-        return f"piegraph run --run {self.folder} --until {producer.name}" if producer else ""
+        return command_line("run", "--run", self.folder, "--until", producer.name) if producer else ""
 
     def absent(self, artifact: str) -> str:
         """What to say of an artifact that is not there, in Markdown."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import ClassVar
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.evaluation.overlays import label
 from piegraph_cli.recording.clicks import Click, read_clicks, write_clicks
 from piegraph_cli.stages import open_run, score
@@ -135,7 +135,8 @@ class SpotTool(Tool):
 
         def tell(found: tuple[str, list[str]]) -> None:
             told, warnings = found
-            self.told.content = "\n\n".join([f"**{told}**", *warnings, f"`piegraph score --run {run.folder}` keeps it"])
+            keeps = f"`{command_line('score', '--run', run.folder)}` keeps it"
+            self.told.content = "\n\n".join([f"**{told}**", *warnings, keeps])
 
         self.told.content = "looking …"
         self.look_up(scored, tell, self.told)

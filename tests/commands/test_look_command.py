@@ -120,6 +120,10 @@ def test_a_plan_may_be_written_elsewhere_and_then_leaves_the_run_alone(tiny_run,
     told = piegraph_json(*ask, "--out", tmp_path / "a b" / "plan.h5")
     assert told["plan"] == str(tmp_path / "a b" / "plan.h5")
     assert read_artifact(tmp_path / "a b" / "plan.h5", "plan").arrays["stroke"].shape == (1, 2, 2)
+    piegraph(*ask, "--out", tmp_path / "a b" / "plan.h5")  # over what it wrote itself
+    model = run / "model" / "piegraph.seed0.h5"
+    for taken, why in ((model, "no plan"), (run / "recipe.toml", "no plan"), (tmp_path, "is a folder")):
+        assert why in piegraph(*ask, "--out", taken, check=2).stderr
     monkeypatch.setattr(os, "access", lambda path, mode, **how: mode != os.W_OK)
     unkept = piegraph(*ask)
     assert "cannot be written, so the answer is not kept" in unkept.stderr

@@ -187,13 +187,21 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
 def test_a_goal_may_be_an_array_by_key_or_a_pose_in_the_world_and_boxes_are_kept_out_of(planner, tiny_run, tmp_path):
     track = tiny_run / "tracks" / "sequence_0001.h5"
     now = open_run(tiny_run).read("tracks", "sequence_0001")["positions"][0]
-    np.savez(tmp_path / "all.npz", note=np.zeros(4), now=now, goal=np.stack([now, now + np.float32([0.1, 0, 0])]))
+    np.savez(
+        tmp_path / "all.npz",
+        note=np.zeros(4),
+        now=now,
+        goal=np.stack([now, now + np.float32([0.1, 0, 0])]),
+        **{"a/b:c": now},
+    )
     of_file, ask = f"{tmp_path / 'all.npz'}:", ("plan", "--run", planner, "--samples", 10, "--cem-iterations", 1)
     by_key = piegraph_json(*ask, "--state", f"{of_file}now", "--goal", f"{of_file}goal:1")
     tracked = piegraph_json(*ask, "--state", f"{track}:0", "--goal-pose", "0.1,0,0")
     assert by_key["start_distance"] == pytest.approx(tracked["start_distance"], abs=2e-3)
+    slashed = piegraph_json(*ask, "--state", f"{of_file}a/b:c", "--goal-pose", "0.1,0,0")
+    assert slashed["strokes"] == tracked["strokes"]
     missing = piegraph(*ask, "--state", f"{of_file}then", "--goal-pose", "0.1,0,0", check=3)
-    assert "has no array then\n  try: it has note, now, goal" in missing.stderr
+    assert "has no array then\n  try: it has note, now, goal, a/b:c" in missing.stderr
     first = piegraph(*ask, "--state", tmp_path / "all.npz", "--goal-pose", "0.1,0,0", check=3)
     assert "name theirs: FILE:KEY" in first.stderr
     turned = piegraph(*ask, "--state", f"{of_file}now", "--goal-at", "0.1,0,90", check=2)

@@ -37,6 +37,26 @@ def test_a_pick_grasps_at_the_particles_height_carries_high_and_lets_go():
     assert path.closed.tolist() == [False, True, True, True, False, False]
 
 
+def test_noise_below_the_table_does_not_send_the_tool_there():
+    sunk = SQUARE - np.float32([0, 0, 0.03])
+    push, pick = (tool_path(ENDS, mode, sunk, SETTINGS) for mode in (PUSH, PICK))
+    assert (push.points[:, 2].min(), pick.points[:, 2].min()) == (0, 0)
+
+
+def test_a_tool_that_would_come_through_the_object_is_refused():
+    model, tall = Model("static", None), np.concatenate([CLOUD, CLOUD + np.float32([0, 0, 0.05])])
+    asked = {"goal_pose": (0.1, 0, 0), "modes": ("push",)} | FEW
+    with pytest.raises(UsageError, match=r"come and go at 0\.05 m, through an object that is 0\.060 m high"):
+        model.plan(tall, approach_height=0.05, **asked)
+    assert len(model.plan(tall, approach_height=0.07, **asked).steps) == 1
+
+
+@pytest.mark.parametrize("change", [{"speed": 1e-320}, {"speed": 100}, {"temperature": 1e-300}])
+def test_speeds_and_temperatures_that_no_arithmetic_bears_are_refused(change):
+    with pytest.raises(UsageError, match=next(iter(change))):
+        Model("static", None).plan(CLOUD, goal_pose=(0.1, 0, 0), planner="mppi", **change, **FEW)
+
+
 AHEAD, ASIDE, ACROSS = ((0.0, 0.0), (1.0, 0.0)), ((0.0, 0.0), (0.0, 1.0)), ((0.0, 0.0), (1.0, 1.0))
 
 

@@ -35,8 +35,20 @@ def test_a_server_answers_until_it_is_told_to_end(tiny_run):
         server.kill()
 
 
+def test_ctrl_c_adds_no_second_object_to_stdout(tiny_run):
+    server = start("--run", tiny_run, "--port", 0, "--json")
+    try:
+        checked(server.stdout.readline().decode())
+        server.send_signal(signal.SIGINT)
+        out, err = server.communicate(timeout=PATIENCE)
+        assert (server.returncode, out) == (130, b"")
+        assert err.startswith(b"interrupted")
+    finally:
+        server.kill()
+
+
 def test_json_lines_until_ctrl_c(tiny_run, question):
-    server = start("--run", tiny_run, "--stdio", stdin=subprocess.PIPE)
+    server = start("--run", tiny_run, "--stdio", "--json", stdin=subprocess.PIPE)
     try:
         for line, failed in (
             (json.dumps({"command": "plan", **question}).encode(), False),

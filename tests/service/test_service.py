@@ -115,6 +115,7 @@ OF_A_PLAN = [
     ({"settings": {"goal": "/etc/passwd"}}, "usage", "goal is no setting of a request"),
     ({"settings": {"cameras": "/etc/passwd"}}, "usage", "cameras is no setting of a request"),
     ({"settings": {"samples": 1e12}}, "usage", "at most 100000"),
+    ({"settings": {"keep_out": [[5, 6, 5, 6, 0, 1]] * 101}}, "usage", "at most 100 items"),
     ({"candidates": -1}, "usage", "greater than or equal to 0"),
     ({"state": [[1, 2]]}, "usage", "rows of three numbers"),
     ({"state": [[1, 2, 3], [1]]}, "usage", "rows of three numbers"),
@@ -157,6 +158,7 @@ def _refused(found: dict, kind: str, message: str) -> None:
         ({"strokes": [{"start": [0, 0], "end": [0, 1e9]}]}, "less than or equal to 100"),
         ({"strokes": [{"start": [0, 0], "end": [0, 1]}] * 1001}, "at most 1000 items"),
         ({"rest": [[0, 0, 0]]}, "a rest shape of 1"),
+        ({"state": [[0, 0, 0]]}, "one particle is no object"),
         ({"state": [[0.001 * k, 0, 0] for k in range(1001)]}, "1001 particles"),
     ],
 )

@@ -33,6 +33,11 @@ def test_what_is_not_made_yet_is_told_with_its_command(tmp_path):
     assert sequence.missing("frames", "tracks") == f"no tracks yet: `piegraph run --run {tmp_path}/run --until track`"
 
 
+def test_a_command_can_be_pasted_whatever_the_run_is_called(tmp_path):
+    sequence = opened(tmp_path / "my run; $x", "frames")
+    assert f"piegraph run --run '{tmp_path}/my run; $x' --until track" in sequence.missing("tracks")
+
+
 def test_an_empty_sequence_has_no_frames(tmp_path):
     sequence = opened(tmp_path / "run")
     assert len(sequence) == len(sequence.time) == len(sequence.cameras) == 0

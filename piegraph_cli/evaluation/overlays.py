@@ -8,6 +8,8 @@ from piegraph_cli.perception.look import Look
 from piegraph_cli.recording.camera import Camera
 
 MASK_COLOR = (255, 0, 200)
+TINT = 0.15
+"""Of a mask's area: little, for with more of it a thing seems to have another colour than it has."""
 HAND_COLOR = (255, 210, 0)
 TIP_COLOR = (255, 40, 40)
 PARTICLE_COLOR = (255, 255, 0)
@@ -22,9 +24,10 @@ def draw_mask(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     import cv2
 
     tinted = image.copy()
-    tinted[mask] = (0.65 * tinted[mask] + 0.35 * np.array(MASK_COLOR)).astype(np.uint8)
+    tinted[mask] = ((1 - TINT) * tinted[mask] + TINT * np.array(MASK_COLOR)).astype(np.uint8)
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.ascontiguousarray(cv2.drawContours(tinted, outlines, -1, MASK_COLOR, 1))
+    width = 2 if image.shape[1] >= SMALL else 1
+    return np.ascontiguousarray(cv2.drawContours(tinted, outlines, -1, MASK_COLOR, width))
 
 
 def draw_things(image: np.ndarray, masks: Sequence[np.ndarray]) -> np.ndarray:

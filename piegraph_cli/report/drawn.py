@@ -9,7 +9,7 @@ from pathlib import Path
 from piegraph_cli.files import atomic_file
 from piegraph_cli.report.pictures import Picture, kept_picture
 
-VERSION = 4
+VERSION = 5
 """Raised when pictures look different, so that they are drawn anew."""
 
 

@@ -76,8 +76,8 @@ def _on_http(what: tuple[Any, ...], host: str, port: int, token: str | None, as_
         from piegraph_cli.service.setup import opened_service
 
         with opened_service(*what) as service:
-            _tell(service, f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}", as_json)
-            make_server(service, Gate(host, token)).run([socket])
+            url = f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}"
+            make_server(service, Gate(host, token), lambda: _tell(service, url, as_json)).run([socket])
 
 
 def _end(*_: object) -> NoReturn:

@@ -4,6 +4,7 @@ import asyncio
 import errno
 import hmac
 import socket
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -168,13 +169,26 @@ def listen(host: str, port: int) -> socket.socket:
         raise UsageError(reason, f"{host}:{port}", hint) from None
 
 
-def make_server(service: Service, gate: Gate) -> uvicorn.Server:
-    """A server for sockets of `listen`: `server.run([socket])`."""
+class _Server(uvicorn.Server):
+    """Calls `ready` when it can be asked, and no signal can fall into what is still set up."""
+
+    def __init__(self, config: uvicorn.Config, ready: Callable[[], None]):
+        super().__init__(config)
+        self.ready = ready
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """As any server's, then `ready`."""
+        await super().startup(sockets)
+        self.ready()
+
+
+def make_server(service: Service, gate: Gate, ready: Callable[[], None]) -> uvicorn.Server:
+    """A server for sockets of `listen`: `server.run([socket])`; `ready` is called once it answers."""
     take = Counter(service, gate).take
     app = Starlette(
         routes=[Route("/{command:path}", take, methods=["GET", "POST"])], exception_handlers={405: _no_method}
     )
-    return uvicorn.Server(
+    return _Server(
         uvicorn.Config(
             app,
             loop="asyncio",
@@ -187,5 +201,6 @@ def make_server(service: Service, gate: Gate) -> uvicorn.Server:
             server_header=False,
             limit_concurrency=CONNECTIONS,
             timeout_graceful_shutdown=FAREWELL,
-        )
+        ),
+        ready,
     )

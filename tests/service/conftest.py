@@ -44,7 +44,7 @@ class Server:
     def __init__(self, service: Service, gate: Gate):
         self.socket = listen("127.0.0.1", 0)
         self.port = self.socket.getsockname()[1]
-        self.server = make_server(service, gate)
+        self.server = make_server(service, gate, lambda: None)
         self.thread = threading.Thread(target=self.server.run, args=([self.socket],))
 
     def ask(

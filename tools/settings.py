@@ -32,8 +32,6 @@ def kind_of(kind: Any, metadata: list[Any]) -> str:
     origin, inside = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return kind_of(inside[0], [*inside[1:], *metadata])
-    if origin is FieldInfo:
-        return kind_of(kind.annotation, metadata)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(kind_of(part, metadata) for part in inside if part is not type(None)))
     if origin is Literal:

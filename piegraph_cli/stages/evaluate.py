@@ -35,6 +35,12 @@ def _inputs(run: "Run", unit: Unit) -> Inputs:
     return {"dataset": None} | ({"model": model} if model else {}) | ({"scores": scored} if scored else {})
 
 
+def _belongs(run: "Run", unit: str) -> bool:
+    """Models of an earlier comparison: those that the run trains, and those that nobody trains."""
+    model = train.trained_name(unit)
+    return model is None or model in run.units(train.STAGE)
+
+
 STAGE = Stage(
     "evaluate",
     "measure predictions on held-out sequences",
@@ -48,6 +54,7 @@ STAGE = Stage(
     units=_units,
     settings=_settings,
     inputs=_inputs,
+    belongs=_belongs,
     call=Call(first=("models", "horizons"), describe="piegraph_cli.stages.evaluate:describe"),
 )
 

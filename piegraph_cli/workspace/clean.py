@@ -97,7 +97,7 @@ def _artifacts(run: Run) -> Iterator[Waste]:
                 continue  # nothing says that it was written here
             if stage is None:
                 reason = "no stage of the recipe makes it"
-            elif unit not in units:
+            elif unit not in units and not (stage.belongs and stage.belongs(run, unit)):
                 reason = f"of no {stage.unit} of this run"
             else:
                 reason = "" if run.fresh(stage, unit) else f"stale: {run.why_stale(stage, unit)}"

@@ -53,6 +53,8 @@ class Stage:
     """What one unit reads; by default what is read of the unit of the same name."""
     command: Callable[["Run", Unit], str] | None = None
     """The command that makes one unit, for hints; by default a run of the recipe up to this stage."""
+    belongs: Callable[["Run", Any], bool] | None = None
+    """Whether a unit that a run was asked for before and does not name now is one of its own still: `clean` leaves it."""
     call: Call = field(default_factory=Call)
 
     def load(self) -> Callable[..., "Output"]:

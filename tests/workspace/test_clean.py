@@ -56,6 +56,18 @@ def test_answers_of_stages_that_the_recipe_does_not_name_are_kept(copied):
     assert waste(copied) == {}
 
 
+def test_models_of_an_earlier_comparison_are_kept_as_long_as_the_run_trains_them(copied):
+    recipe = copied / "recipe.toml"
+    text = recipe.read_text()
+    recipe.write_text(text.replace("[evaluate]", '[evaluate]\nmodels = ["static"]'))
+    assert (copied / "metrics" / "kabsch.seed0.h5").exists()
+    assert waste(copied) == {}
+    recipe.write_text(text.replace("[train]", "[train]\nseeds = [1]"))
+    found = waste(copied)
+    assert {"model/piegraph.seed0.h5", "metrics/piegraph.seed0.h5", "metrics/kabsch.seed0.h5"} <= set(found)
+    assert "metrics/static.h5" not in found
+
+
 def test_leftovers(copied):
     run = open_run(copied)
     left = [old(copied / ".recipe.toml.123.tmp"), old(copied / "tracks" / ".sequence_0000.h5.99.tmp")]

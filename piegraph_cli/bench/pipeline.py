@@ -29,7 +29,7 @@ from piegraph_cli.planning.planner import stroke_space
 from piegraph_cli.planning.search import Search
 from piegraph_cli.service.requests import written
 from piegraph_cli.service.service import Service
-from piegraph_cli.stages.simulate import make_environment
+from piegraph_cli.stages.steps import make_environment
 
 AT_REST = 1e-3
 """Metres. The springs of a plan stop when all of their group are at rest, and groups differ from the reference's."""

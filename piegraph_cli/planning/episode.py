@@ -70,6 +70,7 @@ def play(
     wanted = (
         choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal.of_particles(environment.goal(rng))
     )
+    params = _within(params, environment.walls)
     tool, seed = tool_of(environment), [params.seed, 2, start, goal]
     cost, make_plan = make_planner(trained, state, wanted, params, tool, seed, device)
 
@@ -85,6 +86,15 @@ def play(
     steps = list(run_episode(state, look, act, cost, strokes=params.strokes, success=params.success))
     first = float(cost(torch.as_tensor(state)[None])[0])
     return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first, metric(params, wanted))
+
+
+def _within(params: PlanParams, walls: tuple[float, float, float, float] | None) -> PlanParams:
+    """The settings with strokes inside an environment's walls, at which a tool would stop short of where it was sent."""
+    if walls is None:
+        return params
+    given = params.workspace
+    bounds = [(min if k % 2 else max)(given[k], wall) for k, wall in enumerate(walls)]
+    return params.model_copy(update={"workspace": (*bounds, *given[4:])})
 
 
 def tool_of(environment: Any) -> Tool:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli.errors import DataError, UsageError, command_line
 from piegraph_cli.planning.params import Place, PlanParams
 from piegraph_cli.stages import train
+from piegraph_cli.stages.steps import check_environments
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
@@ -44,6 +45,11 @@ def _settings(run: "Run", unit: Unit) -> PlanParams:
     return params.model_copy(update={"table": run.params("ingest").table})
 
 
+def _check(run: "Run", units: Sequence[Unit], processes: int) -> list[str]:
+    params: PlanParams = run.params(STAGE.name)
+    return check_environments([(params.env, params)], processes)
+
+
 SAME = 1e-6
 """Metres, and parts of a rotation, within which the robot stands where it stood in another recording."""
 
@@ -60,6 +66,7 @@ STAGE = Stage(
     units=_units,
     settings=_settings,
     inputs=_inputs,
+    check=_check,
     call=Call(
         first=("env", "state", "goal", "goal_pose", "goal_at", "model", "horizon", "samples", "strokes", "episodes"),
         remembers=False,  # each question stands for itself: an old goal must not move a robot

@@ -13,6 +13,7 @@ from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
+from piegraph_cli.stages.steps import check_environments
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
@@ -65,6 +66,12 @@ def _settings(run: "Run", unit: str) -> TrialParams:
     return TrialParams(goal=goal, seed=seed, network=trained.path("model", own) if own else None, plan=plan)
 
 
+def _check(run: "Run", units: Sequence[Any], processes: int) -> list[str]:
+    """Of each environment, with the settings of one of its trials."""
+    of = {split_name(unit)[0]: unit for unit in units}
+    return check_environments([(env, _settings(run, unit).plan) for env, unit in of.items()], processes)
+
+
 def split_name(name: str) -> tuple[str, str, int, int]:
     """Environment, model, number of the goal and of the start of a trial, from its name."""
     env, model, goal, seed = name.split(".")
@@ -89,6 +96,7 @@ STAGE = Stage(
     on_demand=True,
     units=_units,
     settings=_settings,
+    check=_check,
     call=Call(
         first=("envs", "models", "goals", "seeds", "strokes", "options"),
         describe="piegraph_cli.stages.trials:describe",

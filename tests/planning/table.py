@@ -27,6 +27,7 @@ class Table:
 
     modes = (PUSH, PICK)
     pusher_radius = 0.01
+    walls = None
 
     def __init__(self):
         self.resets, self.actions = [], []

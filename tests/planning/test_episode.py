@@ -56,3 +56,16 @@ def test_another_goal_may_be_chosen():
     found = play(Block(), None, params, lambda state, sample: Goal.of_particles(state), start=0, goal=0)
     assert (found.steps, found.start_distance, found.end_distance) == ([], 0.0, 0.0)
     assert len(found.states) == 1
+
+
+@pytest.mark.parametrize(
+    ("walls", "inside"), [(None, False), ((-0.1, 0.5, -0.5, 0.5), True), ((-9, 9, -9, 0.1), False)]
+)
+def test_strokes_stay_inside_the_walls_of_an_environment(monkeypatch, walls, inside):
+    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    block = Block()
+    block.walls = walls
+    found = episode("static", environment=block, workspace=(-0.4, 0.4, -0.4, 0.4, -0.02, 0.35))
+    ends = np.array([[*step.plan.strokes[0].start, *step.plan.strokes[0].end] for step in found.steps])
+    assert (ends[:, [0, 2]].min() >= -0.1) == inside
+    assert np.abs(ends).max() <= 0.4

@@ -13,7 +13,7 @@ from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH
 from piegraph_cli.planning.search import INFEASIBLE, Search
-from piegraph_cli.stages.simulate import make_environment
+from piegraph_cli.stages.steps import make_environment
 from tests import strokes as of_strokes
 from tests.planning.table import ANYWHERE, SQUARE, Rehearsal, choose_modes, plan_stage, planner_of, space_of
 

@@ -34,7 +34,7 @@ ENVIRONMENTS = {
     "cloth": Entry("cloth:Cloth", params.ClothOptions, {"outline": "square"}),
     "toy": Entry("toy:Toy", params.ToyOptions),
     "daxbench-rope": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "rope"}, memory=3.1e9),
-    "daxbench-tshirt": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "tshirt"}, memory=1e9),
+    "daxbench-tshirt": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "tshirt"}, memory=0.4e9),
 }
 """Every environment by name; each class is a `base.Environment`."""
 

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,10 @@ def problem(reply: dict[str, Any], python: str, repo: Path, where: str) -> Missi
     ]
     if not version.startswith(PYTHONS):
         hint = f"make its virtual environment with Python 3.9, 3.10 or 3.11, this one has {version}; {HELP}"
+    elif wrong and Path(python).parent == Path(sys.executable).absolute().parent:
+        hint = (
+            f"make a virtual environment for DaXBench: this is piegraph's own, which its packages would break; {HELP}"
+        )
     elif wrong:
         pins = " ".join(shlex.quote(f"{name}{PACKAGES[name]}") for name in wrong)
         hint = f"{shlex.quote(python)} -m pip install {pins}; {HELP}"

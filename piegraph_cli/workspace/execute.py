@@ -264,8 +264,8 @@ def run_chain(run: Run, until: str | None, options: Options) -> list[Outcome]:
     outcomes: list[Outcome] = []
     current = Run(run.folder, run.recipe)
     try:
-        names = [stage.name for stage in current.chain]
-        _check_before(current, current.chain[: names.index(until) + 1 if until else None], options)
+        last = next((k for k, stage in enumerate(current.chain) if stage.name == until), len(current.chain))
+        _check_before(current, current.chain[: last + 1], options)
         for stage in current.chain:
             begin = time.monotonic()
             found = _run_stage(current, stage, options)

@@ -51,6 +51,7 @@ OTHERS = {
     "gravity": 1e-4,
     "reach": 0.03,
     "rollout": 3,
+    "history": 1,
     "noise": 0.01,
     "cell": 0.03,
     "gripper": 0.1,

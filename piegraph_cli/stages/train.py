@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.dynamics.params import LEARNED, ModelParams, TrainParams, split_label, trained_label
-from piegraph_cli.errors import MissingError, command_line
+from piegraph_cli.errors import DataError, MissingError, command_line
 from piegraph_cli.params import validated
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Given, Option, options_of
@@ -166,7 +166,7 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
 
     from piegraph_cli.dynamics.models import MODELS, make_network
     from piegraph_cli.dynamics.params import LearningParams
-    from piegraph_cli.dynamics.rigid_body import RigidBody
+    from piegraph_cli.dynamics.rigid_body import RigidBody, is_rigid
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
@@ -194,6 +194,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     quality = f"loss {train[-1]:.4f} after {counted(settings.steps, 'step')} on {len(trainer.examples)} examples"
     if not math.isnan(trainer.best_loss) and validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
+    if name == "piegraph" and is_rigid(data):
+        quality += "; the object moves rigidly: `piegraph train --model rigid` learns that from fewer strokes"
     return Output(arrays | about, quality)
 
 
@@ -216,12 +218,19 @@ def _fit_body(body: "RigidBody", data: "Sequences", about: dict[str, Any]) -> Ou
     """The numbers of a rigid body, fitted at once; a body that bends is told."""
     import numpy as np
 
-    error, bent = body.fit(data)
+    from piegraph_cli.recording.outline import read_outline
+
+    file = body.params.outline
+    try:
+        error, bent = body.fit(data, None if file is None else read_outline(file))
+    except DataError as fault:
+        raise fault if fault.where or file is None else DataError(fault.message, str(file), fault.hint) from None
     friction, c, reach, *_ = body.numbers.tolist()
     arrays = {f"weights/{name}": value.numpy() for name, value in body.state_dict().items()}
     arrays |= {"step": np.array([1]), "train_loss": np.array([error]), "validation_loss": np.array([math.nan])}
     quality = f"{error * 100:.2f} cm a stroke on {len(data.strokes)} strokes; friction {friction:.2f}, "
-    quality += f"turning length {c * 1000:.0f} mm, pusher {reach * 1000:.1f} mm from the outermost particles"
+    of = "outermost particles" if file is None else "outline"
+    quality += f"turning length {c * 1000:.0f} mm, pusher {reach * 1000:.1f} mm from the {of}"
     warnings = []
     if bent > BENT:
         warnings.append(

@@ -54,11 +54,11 @@ def checked_outline(corners: np.ndarray, where: str) -> np.ndarray:
         raise refuse(
             f"the outline is {size:.3g} m large: it is in other units", "give metres; of millimetres divide by 1000"
         )
+    if 0 < size < SMALLEST:
+        raise refuse(f"the outline is {size * 1000:.2g} mm large: it is in other units", "give metres")
     corners = _thinned(corners.astype(float))
     if len(corners) < 3:
         raise refuse(f"an outline of {len(corners)} corners encloses nothing")
-    if size < SMALLEST:
-        raise refuse(f"the outline is {size * 1000:.2g} mm large: it is in other units", "give metres")
     if len(corners) > MOST:
         raise refuse(
             f"the outline has {len(corners)} corners, at most {MOST}", "a coarser outline, 0.1 mm is fine enough"

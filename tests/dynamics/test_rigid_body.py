@@ -196,7 +196,7 @@ def test_an_outline_in_any_frame_is_laid_on_its_particles(yaw):
         (L * 1000 / 25.4, "measures .* mm, the particles .* mm", "these are inches"),
         (L * 100, "measures", "these are centimetres"),
         (L * 1.4, "measures", "the outline of this body, in metres"),
-        (np.array([[0, 0], [0.13, 0], [0.13, 0.13], [0, 0.13]]), "of its inside has none near", "of this body"),
+        (np.array([[0, 0], [0.144, 0], [0.144, 0.144], [0, 0.144]]), "of its inside has none near", "of this body"),
         (np.array([[0, 0], [0.19, 0], [0.19, 0.025], [0, 0.025]]), "lie outside of it", "of this body"),
     ],
 )

@@ -31,6 +31,8 @@ ROUGH = 0.004
 """Metres that tracked particles are expected to be off."""
 WRONG = 0.1
 """Share of the outline or of the particles that is too far where the outline is another body's."""
+OUTLINE = "outline"
+"""Where an error is that is about an outline that is given."""
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 39.37}
 
 
@@ -80,7 +82,7 @@ def laid_on(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     if wrong:
         mirrored = _misfit(_best(corners * [1, -1], points)[0], points)
         hint = "an outline is seen from above: turn its y over" if not mirrored else "give the outline of this body"
-        raise DataError(f"the outline is not that of the particles: {wrong}", hint=hint)
+        raise DataError(f"the outline is not that of the particles: {wrong}", OUTLINE, hint)
     return laid
 
 

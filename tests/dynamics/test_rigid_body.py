@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.params import RigidParams
 from piegraph_cli.dynamics.outline import laid_on, outline_of
+from piegraph_cli.dynamics.params import RigidParams
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame, is_rigid
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.errors import DataError

@@ -24,11 +24,8 @@ if TYPE_CHECKING:
 BENT = 0.005
 """Metres from a rigid motion above which the user of `rigid` is warned."""
 
-NOT_LEARNED = (
-    "did not learn: the loss is not below {:.4f}, that of nothing moving; "
-    "try more steps (--steps), another learning rate, or more recordings"
-)
-"""A warning."""
+RIGID = "; the object moves rigidly: `piegraph train --model rigid` learns that from fewer strokes"
+"""Said once, of piegraph."""
 
 STATES = 400
 """States of the object that tell how large it is, at most."""
@@ -168,8 +165,6 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output:
     """Train one model on the dataset's training sequences."""
-    import numpy as np
-
     from piegraph_cli.dynamics.models import MODELS, make_network
     from piegraph_cli.dynamics.params import LearningParams
     from piegraph_cli.dynamics.rigid_body import RigidBody, is_rigid
@@ -194,18 +189,27 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     validation = learner.examples(held_out, settings, device) if len(held_out.strokes) else None
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     _fit(trainer, params, context)
-    steps, train, validation_loss = np.array(trainer.history).T
+    arrays, quality, warnings = _learned(trainer)
+    quality += RIGID if name == "piegraph" and is_rigid(data) else ""
+    return Output(arrays | about, quality, warnings)
+
+
+def _learned(trainer: "Trainer") -> tuple[dict[str, Any], str, list[str]]:
+    """Weights and losses of a training, in a line as well; warned of where it did not learn."""
+    import numpy as np
+
+    steps, train, validation = np.array(trainer.history).T
     static = trainer.static_loss()
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
-    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss, "static_loss": np.array(static)}
+    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation, "static_loss": np.array(static)}
     quality = f"loss {train[-1]:.4f} after {counted(trainer.done, 'step')} on {len(trainer.examples)} examples"
-    if validation is not None:
+    if trainer.validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
     quality += f" (nothing moves: {static:.4f})"
-    if name == "piegraph" and is_rigid(data):
-        quality += "; the object moves rigidly: `piegraph train --model rigid` learns that from fewer strokes"
-    learned = (train[-1] if validation is None else trainer.best_loss) < static
-    return Output(arrays | about, quality, [] if learned else [NOT_LEARNED.format(static)])
+    if (train[-1] if trainer.validation is None else trainer.best_loss) < static:
+        return arrays, quality, []
+    why = f"did not learn: the loss is not below {static:.4f}, that of nothing moving"
+    return arrays, quality, [f"{why}; try more steps (--steps), another learning rate, or more recordings"]
 
 
 def _about(data: "Sequences") -> dict[str, Any]:

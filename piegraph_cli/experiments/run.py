@@ -8,7 +8,7 @@ from piegraph_cli.environments.params import SimulateParams
 from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.evaluation.tables import as_json
 from piegraph_cli.experiments.figures import draw
-from piegraph_cli.experiments.measured import write_strokes
+from piegraph_cli.experiments.measured import with_outline, write_strokes
 from piegraph_cli.experiments.params import MEASURED, ExperimentParams
 from piegraph_cli.experiments.recipes import recipe_of, recording_of, trial_recipe
 from piegraph_cli.experiments.results import read_results
@@ -29,7 +29,8 @@ def run_experiment(name: str, params: ExperimentParams, folder: Path, options: O
     for environment in params.interactions:
         own, recording = folder / params.run_name(environment), recording_of(params, environment, folder)
         if environment == MEASURED:
-            write_strokes(params.data, folder / "recordings" / environment)
+            write_strokes(params.data, _measured_in(folder))
+            params = with_outline(params, _measured_in(folder))
         elif recording:
             _render(recording, params, environment, options.jobs)
         recipe = recipe_of(params, environment, recording)
@@ -47,6 +48,10 @@ def run_experiment(name: str, params: ExperimentParams, folder: Path, options: O
     return failed
 
 
+def _measured_in(folder: Path) -> Path:
+    return folder / "recordings" / MEASURED
+
+
 def _render(recording: Path, params: ExperimentParams, environment: str, jobs: int) -> None:
     shipped = load_recipe(SHIPPED / f"{environment}.toml", STAGES).params(STAGES["simulate"])
     assert isinstance(shipped, SimulateParams)
@@ -60,6 +65,7 @@ def write_report(name: str, params: ExperimentParams, folder: Path) -> tuple[dic
 
     Raises `DataError` when nothing has been done yet.
     """
+    params = with_outline(params, _measured_in(folder)) if MEASURED in params.interactions else params
     results = read_results(name, params, folder)
     if not any(results.metrics.values()) and not any(results.models.values()):
         raise DataError("no run of this experiment has results yet", str(folder), f"piegraph reproduce {name}")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import figures, trial_figures
+from piegraph_cli.evaluation.reliability import reliability
 from piegraph_cli.evaluation.tables import Metrics, summarise
 from piegraph_cli.evaluation.trials import Trial, compare_trials
 from piegraph_cli.report import tables
@@ -88,8 +89,18 @@ def model_section(found: Found, metrics: dict[str, list[Artifact]], arrays: Metr
     by_label: dict[str, list[str]] = {}
     for unit in units:
         by_label.setdefault(split_model(unit)[0], []).append(unit)
+    sure = reliability(arrays)
+
+    def agreement(mark: str) -> list[Picture]:
+        first = min(row["horizon"] for row in sure)
+        own = [row for row in sure if row["horizon"] == first]
+        said = f"Real over expected errors, {counted(first, 'stroke')} ahead; calibrated on other sequences"
+        return [_plot(partial(figures.reliability_figure, own), mark, said)]
+
     return {
         "rows": tables.metric_rows(arrays),
+        "sure": [tables.look_of(row["model"]) | row for row in sure],
+        "agreement": drawn.take("reliability", keys, agreement) if sure else [],
         "looks": [tables.look_of(label) for label in metrics],
         "errors": drawn.take("errors", keys, errors) if metrics else [],
         "losses": [one for label, own in by_label.items() for one in _losses(found, label, own, drawn)],

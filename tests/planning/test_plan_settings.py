@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.dynamics.params import PredictionParams
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH
@@ -270,7 +271,7 @@ def carried(positions, strokes):
 def search(space, predict=carried, seed: int = 0, **settings):
     state = torch.as_tensor(SQUARE)
     cost = make_cost("distance", state + torch.tensor([0.08, 0.0, 0.0]), len(state))
-    return Search(predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
+    return Search(sure(predict), cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

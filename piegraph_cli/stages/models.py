@@ -70,7 +70,7 @@ def save_model(run: Path | str, path: Path | str, label: str = "piegraph", *, se
         stage=train.STAGE.name,
         stage_version=train.STAGE.version,
         key=artifact.key,
-        params=artifact.params | {"plan": settings, "calibration": known and asdict(known)},
+        params=artifact.params | {"plan": settings} | ({"calibration": asdict(known)} if known else {}),
         inputs=artifact.inputs,
         quality=artifact.quality,
     )

@@ -19,7 +19,6 @@ from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
     from piegraph_cli.evaluation.trials import Trial
-    from piegraph_cli.planning.episode import Episode
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 
@@ -128,15 +127,15 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
         "pd": np.array([particle_distance(state, episode.goal) for state in states]) / CENTIMETRE,
         "cd": np.array([chamfer_distance(state, episode.goal) for state in states]) / CENTIMETRE,
     }
-    quality = _quality(episode, params.plan)
+    quality = _quality(episode.end_distance, len(episode.steps), params.plan, episode.ending)
     return Output(arrays, quality, tool_warnings(params.plan, tool_of(environment)))
 
 
-def _quality(episode: "Episode", plan: PlanParams) -> str:
-    text = f"{episode.end_distance * 100:.1f} cm from the goal after {counted(len(episode.steps), 'stroke')}"
-    if episode.ending == "reached":
+def _quality(end: float, strokes: int, plan: PlanParams, ending: str) -> str:
+    text = f"{end * 100:.1f} cm from the goal after {counted(strokes, 'stroke')}"
+    if ending == "reached":
         return text
-    why = "" if episode.ending == "strokes spent" else f": {episode.ending}"
+    why = "" if ending == "strokes spent" else f": {ending}"
     return f"{text}, not below {plan.success * 100:g} cm{why}"
 
 

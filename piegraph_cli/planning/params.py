@@ -92,11 +92,14 @@ class PlanParams(PredictionParams, EnvironmentParams):
     look_every: int = Field(
         1, ge=1, description="strokes of a plan that are carried out in --env before it looks again"
     )
+    remember: bool = Field(
+        False,
+        description="a stroke of the episode that did not do as predicted counts by its error, and what is like it",
+    )
     caution: float = Field(
         0.0,
         ge=0,
-        description="weight of the error to expect of a prediction in its cost, where `evaluate` told it and "
-        "where strokes of the same episode have shown it (0: none)",
+        description="weight of the error to expect of a prediction in its cost, for what was evaluated (0: none)",
     )
     stop: bool = Field(
         False, description="end an episode in --env when no stroke is expected to help by more than its expected error"

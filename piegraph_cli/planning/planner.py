@@ -61,7 +61,7 @@ def make_planner(
     foresee = make_foresee(params.model, trained, rest, params)
     space = stroke_space(rest, params, modes, pusher_radius(params, tool))
     generator = torch.Generator(device).manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
-    record = rest.is_cuda and params.caution == 0 and recordable(params.model) and len(modes) == 1 and kind != "emd"
+    record = rest.is_cuda and recordable(params.model) and len(modes) == 1 and kind != "emd"
     calibration, there = trained.calibration if trained else None, make_cost(kind, target.to(rest), len(state))
     return cost, Search(foresee, there, space, params, generator, record, calibration)
 

@@ -24,8 +24,8 @@ class Candidates:
     strokes: Strokes
     """[I, B, H]."""
     costs: torch.Tensor
-    """[I, B] metres, as they were ranked: with `caution` a prediction's expected error counts; `INFEASIBLE` added per stroke
-    that cannot be carried out."""
+    """[I, B] metres, as they were ranked: errors that are expected or were shown count; `INFEASIBLE` added per stroke that
+    cannot be carried out."""
     weights: torch.Tensor
     """[I, B] with which each shaped the next iteration: equal for the elites of CEM, 0 for all others."""
 
@@ -78,10 +78,11 @@ class Search:
     def __call__(self, state: torch.Tensor, tried: Sequence[Tried] = ()) -> Plan | None:
         """A plan from state [N, 3] (m), on the CPU; None if no candidate is feasible. `tried`: strokes of the same episode."""
         self._begin(state)
-        self.tried = tried
+        self.tried = tried if self.params.remember else ()
+        look = self._look if self.tried else self.look  # what was tried is in no recording
         seen = []
         for _ in range(self.params.cem_iterations):
-            self.look()
+            look()
             strokes, costs, weights = self.seen
             seen.append((strokes.clone(), costs.clone(), weights.clone()))
             if self._agreed():
@@ -114,8 +115,9 @@ class Search:
         strokes, predicted, costs, signs = rollout(self.state, self.proposals, self.foresee, self.cost, self.space)
         errors, ranked = self._errors(signs), costs
         if self.params.caution:
-            errors = torch.fmax(errors, shown(self.state, strokes.ends[:, 0], self.tried)[:, None])
-            ranked = costs + self.params.caution * errors.mean(1).nan_to_num()
+            ranked = ranked + self.params.caution * errors.mean(1).nan_to_num()
+        if self.tried:
+            ranked = ranked + shown(self.state, strokes.ends[:, 0], self.tried)
         leader = ranked.argmin()[None]
         better = ranked[leader] < self.best[0]
         for kept, found in zip(self.best, (ranked, predicted, self.proposals, costs, errors), strict=True):

@@ -20,6 +20,7 @@ from piegraph_cli.report.pictures import Picture, image_picture, share_of, shrin
 from piegraph_cli.report.sequence import FRAMES, Seen, draw_sequence
 from piegraph_cli.report.svg import svg_of
 from piegraph_cli.report.words import Part, worst
+from piegraph_cli.stages.plan import HELPLESS
 from piegraph_cli.stages.train import split_model
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.artifact import Artifact
@@ -153,6 +154,8 @@ def _strip(plan: Artifact, episode: int, mark: str) -> Picture:
     start, end = plan["start_distance"][episode] * 100, plan["end_distance"][episode] * 100
     strokes = counted(len(steps), "stroke")
     ending = f"{end:.1f} cm after {strokes}" if np.isfinite(end) else f"{strokes} planned"
+    why = plan.texts("ending")[episode]
+    ending += f", {why}" if why == HELPLESS else ""
     caption = f"Episode {episode}: {start:.1f} cm from the goal, {ending}"
     alt = f"{caption}; object, stroke, prediction and goal from above at each stroke"
     return _plot(partial(figures.plan_figure, steps, plan["goal"][episode]), mark, caption, alt)

@@ -226,10 +226,11 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     rows, lines = stroke_rows(plan.arrays, T), [plan.quality]
     for row in rows:
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
+        unsure = "" if row["expected_error"] is None else f" (± {row['expected_error'] * 100:.1f})"
         start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(
             f"episode {row['episode']}: {row['mode']} from ({start}) to ({end}) m, "
-            f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{reached}"
+            f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{unsure}{reached}"
         )
     if params.state is not None:
         lines += _path_lines(rows)

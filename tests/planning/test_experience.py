@@ -38,22 +38,25 @@ def test_a_stroke_has_shown_what_it_did_of_those_that_are_like_it():
     assert shown(SQUARE, ends, ()).isnan().all()
 
 
-def test_without_caution_nothing_that_is_known_of_errors_changes_a_plan():
+def test_unasked_nothing_that_is_known_of_errors_changes_a_plan():
     plain = plan()
     tried = [Tried(SQUARE, plain.strokes.ends[0], 0.5)]
     again = plan(tried, OFTEN_OFF, moving)
     assert torch.equal(plain.strokes.packed(), again.strokes.packed())
     assert torch.equal(plain.candidates.costs, again.candidates.costs)
-    assert (plain.cost, plain.errors.isnan().all()) == (again.cost, True)
+    assert (plain.cost, bool(plain.errors.isnan().all())) == (again.cost, True)
     assert float(again.errors[0]) == pytest.approx(0.5)
+    first = plan((), remember=True)
+    assert torch.equal(plain.strokes.packed(), first.strokes.packed()), "nothing was tried yet"
 
 
 def test_a_stroke_that_did_nothing_is_not_tried_again():
     first = plan()
-    tried = [Tried(SQUARE, first.strokes.ends[0], first.cost + 0.06)]
-    repeated, other = (plan(tried, caution=caution) for caution in (0.0, 1.0))
+    tried = [Tried(SQUARE, first.strokes.ends[0], 0.06)]
+    repeated, other = (plan(tried, remember=remember) for remember in (False, True))
     assert torch.equal(repeated.strokes.ends, first.strokes.ends)
-    assert (other.strokes.ends - first.strokes.ends).norm(dim=-1).mean() > LIKE_STROKE
+    assert (other.strokes.ends - first.strokes.ends).norm(dim=-1).mean() > LIKE_STROKE / 2
+    assert other.cost == pytest.approx(float(COST(other.predicted)[0]), abs=1e-6), "the distance alone"
 
 
 def test_caution_prefers_strokes_that_move_little_where_motion_goes_wrong():
@@ -77,7 +80,7 @@ def test_a_plan_helps_where_it_gains_more_than_it_may_be_off():
     assert helps(plan(), 0.06, COST), "nothing is known against it"
 
 
-def episode(stop: bool, works: bool, caution: float = 0.0, **limits):
+def episode(stop: bool, works: bool, **limits):
     """Of an object that does not move unless the stroke `works`."""
     world = SQUARE.clone()
 
@@ -86,7 +89,7 @@ def episode(stop: bool, works: bool, caution: float = 0.0, **limits):
         world = carried(world[None], Strokes.stack([stroke]))[0] if works else world
         return world.numpy(), False
 
-    params = PlanParams(samples=60, caution=caution, horizon=limits.get("look_every", 1))
+    params = PlanParams(samples=60, horizon=limits.get("look_every", 1))
     search = Search(sure(carried), COST, SPACE, params, torch.Generator().manual_seed(0))
     return run_episode(SQUARE.numpy(), search, act, COST, strokes=6, success=0.005, stop=stop, **limits)
 

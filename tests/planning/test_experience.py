@@ -80,8 +80,8 @@ def test_a_plan_helps_where_it_gains_more_than_it_may_be_off():
     assert helps(plan(), 0.06, COST), "nothing is known against it"
 
 
-def episode(stop: bool, works: bool, **limits):
-    """Of an object that does not move unless the stroke `works`."""
+def episode(stop: bool, works: bool, calibration: Calibration | None = None, **limits):
+    """Of an object that does not move unless it `works`."""
     world = SQUARE.clone()
 
     def act(stroke: Strokes):
@@ -90,16 +90,16 @@ def episode(stop: bool, works: bool, **limits):
         return world.numpy(), False
 
     params = PlanParams(samples=60, horizon=limits.get("look_every", 1))
-    search = Search(sure(carried), COST, SPACE, params, torch.Generator().manual_seed(0))
+    search = Search(moving, COST, SPACE, params, torch.Generator().manual_seed(0), False, calibration)
     return run_episode(SQUARE.numpy(), search, act, COST, strokes=6, success=0.005, stop=stop, **limits)
 
 
 def test_an_episode_ends_when_nothing_is_expected_to_help():
-    steps, ending = episode(stop=True, works=False)
-    assert (len(steps), ending) == (1, "no stroke is expected to help")
-    steps, ending = episode(stop=False, works=False)
+    wrong = Calibration(0.0, 1.5, 0.0, 1.0)
+    assert episode(stop=True, works=False, calibration=wrong) == ([], "no stroke is expected to help")
+    steps, ending = episode(stop=False, works=False, calibration=wrong)
     assert (len(steps), ending) == (6, "strokes spent")
-    assert episode(stop=True, works=True)[1] == "reached"
+    assert episode(stop=True, works=True, calibration=OFTEN_OFF)[1] == "reached"
 
 
 def test_strokes_are_carried_out_before_it_is_looked_again():

@@ -10,6 +10,8 @@ from scipy.optimize import nnls
 
 ENOUGH = 12
 """Strokes from which all numbers of a calibration are fitted; of fewer the error is a share of the motion."""
+GROWTH = 0.75
+"""Errors of alike strokes in a row grow with this power of their number: they neither add up nor cancel as chance would."""
 BOUND = 0.9
 """Share of the errors that lie below a calibration's bound."""
 
@@ -45,8 +47,9 @@ class Calibration:
         return cls(*numbers, float(np.quantile(errors[known] / expected[known], BOUND)) if known.any() else 1.0)
 
     def expected(self, signs: Any, strokes: Any = 1) -> Any:
-        """Errors [...] (m) to expect after so many strokes with these signs [..., 2] (m) in all: errors add up."""
-        return self.constant * strokes + self.of_motion * signs[..., 0] + self.of_correction * signs[..., 1]
+        """Errors [...] (m) to expect after so many strokes with these signs [..., 2] (m) in all, see `GROWTH`."""
+        total = self.constant * strokes + self.of_motion * signs[..., 0] + self.of_correction * signs[..., 1]
+        return total * strokes ** (GROWTH - 1)
 
 
 def calibrated_apart(signs: np.ndarray, errors: np.ndarray, groups: np.ndarray) -> dict[Any, Calibration]:

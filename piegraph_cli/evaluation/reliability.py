@@ -35,7 +35,7 @@ def reliability(metrics: Metrics) -> list[dict[str, Any]]:
 
     `rank` is the rank correlation of expected and real errors, `within` the share of real errors below the bound that should
     hold for nine in ten; of each bin the mean expected error and the mean real one. Expected errors of several strokes are
-    those of single strokes, added up.
+    those of single strokes together, see `dynamics.reliability`.
     """
     horizons = sorted({int(h) for seeds in metrics.values() for one in seeds for h in one["horizon"]})
     rows = []
@@ -44,7 +44,7 @@ def reliability(metrics: Metrics) -> list[dict[str, Any]]:
             expected, errors, bounds = (
                 np.concatenate(part) for part in zip(*(_expected(s, horizon) for s in seeds), strict=True)
             )
-            if len(errors) < FEWEST or np.ptp(expected) == 0:
+            if len(errors) < FEWEST or not any(one["motion"].any() for one in seeds):
                 continue
             parts = np.array_split(np.argsort(expected, kind="stable"), BINS)
             row = {"model": model, "horizon": horizon, "predictions": len(errors), "seeds": len(seeds)}

@@ -173,7 +173,7 @@ def rollout(
     """Strokes [B, H], predicted states [B, H, N, 3], costs [B], signs [B, H, 2] of proposals [B, H, 5] from state [N, 3].
 
     The cost is the mean over the states, not that of the last alone: a first stroke that wanders would cost nothing. Signs
-    of errors (see `dynamics.reliability`) add up from stroke to stroke.
+    of errors (see `dynamics.reliability`) are summed from stroke to stroke.
     """
     positions = state.expand(len(proposals), -1, -1)
     total = torch.zeros(len(proposals), device=proposals.device)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from piegraph_cli.dynamics.reliability import BOUND, ENOUGH, Calibration, calibrated_apart, signs_of
+from piegraph_cli.dynamics.reliability import BOUND, ENOUGH, GROWTH, Calibration, calibrated_apart, signs_of
 
 RNG = np.random.default_rng(0)
 SIGNS = RNG.uniform(0, 0.1, (400, 2))
@@ -16,7 +16,7 @@ def test_a_calibration_is_the_one_that_errors_were_made_with():
     assert (found.constant, found.of_motion, found.of_correction) == pytest.approx((0.002, 0.1, 0.5))
     assert found.bound == pytest.approx(1)
     np.testing.assert_allclose(found.expected(SIGNS), errors)
-    np.testing.assert_allclose(found.expected(torch.as_tensor(SIGNS), 3), errors + 2 * 0.002)
+    np.testing.assert_allclose(found.expected(torch.as_tensor(3 * SIGNS), 3), errors * 3**GROWTH)
 
 
 def test_no_sign_makes_a_prediction_surer():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from piegraph_cli.dynamics.reliability import GROWTH
 from piegraph_cli.evaluation.reliability import calibration_of, reliability, reliability_lines
 from piegraph_cli.text import plain
 
@@ -39,13 +40,13 @@ def test_a_model_that_does_not_know_them_is_told():
     assert 0.7 < row["within"] < 1
 
 
-def test_errors_of_several_strokes_are_held_against_those_of_one_added_up():
+def test_errors_of_several_strokes_are_held_against_those_of_one():
     one, two = metrics(0.2 * MOTION), metrics(0.5 * MOTION, horizon=2)
     both = {name: np.concatenate([one[name], two[name]]) for name in one}
     first, second = reliability({"one": [both]})
     assert (first["horizon"], second["horizon"]) == (1, 2)
     for part in second["bins"]:
-        assert part["error"] == pytest.approx(2.5 * part["expected"], rel=1e-6)
+        assert part["error"] == pytest.approx(2.5 / 2 ** (GROWTH - 1) * part["expected"], rel=1e-6)
     assert second["within"] == 0
 
 

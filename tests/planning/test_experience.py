@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from piegraph_cli.dynamics.models import sure
-from piegraph_cli.dynamics.reliability import Calibration
+from piegraph_cli.dynamics.reliability import GROWTH, Calibration
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.experience import LIKE_STROKE, Tried, shown
@@ -68,9 +68,9 @@ def test_caution_prefers_strokes_that_move_little_where_motion_goes_wrong():
     assert careful.cost == pytest.approx(float(COST(careful.predicted)[0]), abs=1e-6), "the distance alone"
 
 
-def test_errors_add_up_from_stroke_to_stroke():
+def test_errors_grow_from_stroke_to_stroke():
     found = plan((), Calibration(0.01, 0.0, 0.0, 1.0), horizon=3)
-    assert found.errors.tolist() == pytest.approx([0.01, 0.02, 0.03])
+    assert found.errors.tolist() == pytest.approx([0.01, 0.01 * 2**GROWTH, 0.01 * 3**GROWTH])
 
 
 def test_a_plan_helps_where_it_gains_more_than_it_may_be_off():

@@ -401,7 +401,7 @@ def test_greedy_picks_the_worst_particle_and_needs_to_know_where_it_belongs():
     goal[3, :2] += 0.1
     goal[7, :2] -= 0.2
     _, make_plan = planner_of(SQUARE, goal, planner="greedy", model="static")
-    plan = make_plan(torch.as_tensor(SQUARE))
+    plan = make_plan(torch.as_tensor(SQUARE), ())
     np.testing.assert_allclose(of_strokes.start(plan.strokes)[0], SQUARE[7, :2])
     np.testing.assert_allclose(of_strokes.end(plan.strokes)[0], goal[7, :2])
     for refused in ({"corresponds": False}, {"known": (PUSH,)}):

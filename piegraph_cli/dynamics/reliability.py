@@ -41,10 +41,11 @@ class Calibration:
         """From signs [n, 2] and errors [n] (m) of strokes that were not learned from: non-negative least squares."""
         parts = np.column_stack([np.ones(len(signs)), signs]).astype(float)
         parts *= np.array([1, 1, 1]) if len(signs) >= ENOUGH else np.array([0, 1, 0])
-        numbers = [float(x) for x in nnls(parts, np.asarray(errors, float))[0]]
+        numbers = nnls(parts, np.asarray(errors, float))[0]
         expected = parts @ numbers
         known = expected > 0
-        return cls(*numbers, float(np.quantile(errors[known] / expected[known], BOUND)) if known.any() else 1.0)
+        bound = float(np.quantile(errors[known] / expected[known], BOUND)) if known.any() else 1.0
+        return cls(float(numbers[0]), float(numbers[1]), float(numbers[2]), bound)
 
     def expected(self, signs: Any, strokes: Any = 1) -> Any:
         """Errors [...] (m) to expect after so many strokes with these signs [..., 2] (m) in all, see `GROWTH`."""

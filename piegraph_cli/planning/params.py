@@ -93,7 +93,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
         1, ge=1, description="strokes of a plan that are carried out in --env before it looks again"
     )
     remember: bool = Field(
-        False,
+        True,
         description="a stroke of the episode that did not do as predicted counts by its error, and what is like it",
     )
     caution: float = Field(

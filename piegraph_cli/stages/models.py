@@ -82,8 +82,8 @@ def _calibration(artifact: Artifact) -> Calibration | None:
     if values is None:
         return None
     names = [of.name for of in fields(Calibration)]
-    numbers = [values.get(name) if isinstance(values, dict) else None for name in names]
-    if not all(isinstance(x, float) and 0 <= x < math.inf for x in numbers):
+    numbers = [x for name in names if isinstance(values, dict) and isinstance(x := values.get(name), float)]
+    if len(numbers) < len(names) or not all(0 <= x < math.inf for x in numbers):
         raise DataError("says no numbers of the errors to expect", str(artifact.path), "another model file")
     return Calibration(*numbers)
 

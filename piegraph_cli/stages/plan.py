@@ -37,9 +37,8 @@ def _inputs(run: "Run", unit: Unit) -> Inputs:
     label = run.params(STAGE.name).model
     name = train.model_name(label, run.params("train").seeds_of(label)[0])
     model = train.trained_name(name)
-    if model is None:
-        return {}
-    return {"model": model} | ({"metrics": name} if evaluate.measured(run, name) else {})
+    read: Inputs = {"model": model} if model else {}
+    return read | {"metrics": name} if model and evaluate.measured(run, name) else read
 
 
 def _settings(run: "Run", unit: Unit) -> PlanParams:

@@ -36,7 +36,7 @@ def test_a_model_that_knows_its_errors_is_on_the_line():
 
 def test_a_model_that_does_not_know_them_is_told():
     (row,) = reliability({"one": [metrics(RNG.permutation(0.2 * MOTION))]})
-    assert abs(row["rank"]) < 0.4
+    assert row["rank"] < 0.2
     assert 0.7 < row["within"] < 1
 
 

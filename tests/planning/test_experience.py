@@ -41,12 +41,12 @@ def test_a_stroke_has_shown_what_it_did_of_those_that_are_like_it():
 def test_unasked_nothing_that_is_known_of_errors_changes_a_plan():
     plain = plan()
     tried = [Tried(SQUARE, plain.strokes.ends[0], 0.5)]
-    again = plan(tried, OFTEN_OFF, moving)
+    again = plan(tried, OFTEN_OFF, moving, remember=False)
     assert torch.equal(plain.strokes.packed(), again.strokes.packed())
     assert torch.equal(plain.candidates.costs, again.candidates.costs)
     assert (plain.cost, bool(plain.errors.isnan().all())) == (again.cost, True)
     assert float(again.errors[0]) == pytest.approx(0.5)
-    first = plan((), remember=True)
+    first = plan()
     assert torch.equal(plain.strokes.packed(), first.strokes.packed()), "nothing was tried yet"
 
 

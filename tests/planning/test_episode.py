@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from torch.nn.functional import pad
 
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.planning import planner
 from piegraph_cli.planning.episode import Episode, play
 from piegraph_cli.planning.params import PlanParams
@@ -13,12 +14,16 @@ from tests.planning.block import Block
 SETTINGS = {"samples": 40, "cem_iterations": 3, "strokes": 4, "success": 0.03}
 
 
+def carried_almost(positions, strokes):
+    return positions + 0.9 * pad(strokes.along, (0, 1))[:, None]
+
+
 def episode(model: str, start: int = 0, goal: int = 0, environment: Block | None = None, **settings) -> Episode:
     return play(environment or Block(), None, PlanParams(model=model, **SETTINGS | settings), start=start, goal=goal)
 
 
 def test_a_model_that_knows_the_block_pushes_it_to_its_goal(monkeypatch):
-    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    monkeypatch.setattr(planner, "make_foresee", lambda *_: sure(carried_almost))
     found = episode("static")
     assert found.start_distance > 0.07
     assert found.end_distance < 0.03

@@ -82,20 +82,20 @@ def run_experiment(name: str, params: ExperimentParams, work: Work) -> list[Pieg
 
 def _run_models(name: str, params: ExperimentParams, environment: str, work: Work) -> None:
     folder, recording = work.folder, recording_of(params, environment, work.folder)
-    if not work.in_time(0):
+    run = open_run(folder / params.run_name(environment), recipe_of(params, environment, recording))
+    if not work.in_time(len(run.units(STAGES["train" if params.table == "search" else "evaluate"]))):
         return
     if environment == MEASURED:
         write_strokes(params.data, folder / "recordings" / environment)
     elif recording:
         _render(recording, params, environment, work.options.jobs)
-    run = open_run(folder / params.run_name(environment), recipe_of(params, environment, recording))
     log.info("%s: %s", name, run.folder)
     begin = run_chain(run, "dataset", work.options)
     work.note(begin)
     if any(o.error for o in begin if o.stage == "dataset"):
         return
     for trained, measured in _batches(run, params, work.options.jobs):
-        if not work.in_time(max(len(trained), len(measured))):
+        if not work.in_time(len(measured or trained)):
             continue
         for stage, units in (("train", trained), ("evaluate", measured)):
             if units:

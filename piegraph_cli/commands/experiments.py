@@ -24,6 +24,22 @@ Runs = Annotated[
 ]
 
 
+Quick = Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
+]
+Strokes = Annotated[
+    Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
+]
+Hours = Annotated[
+    float | None, typer.Option(min=0.0, help="begin no further piece after so many; the same command goes on")
+]
+Keep = Annotated[
+    Path | None,
+    typer.Option(help="folder of pieces, the small text files of figures [default: RUNS/report/pieces]"),
+]
+
+
 def reproduce(
     experiment: Annotated[
         str,
@@ -34,22 +50,13 @@ def reproduce(
         ),
     ],
     runs: Runs = None,
-    quick: Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")] = False,
-    set: Annotated[
-        list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
-    ] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
-    ] = None,
+    quick: Quick = False,
+    set: Changes = None,
+    data: Strokes = None,
     envs: Annotated[str, typer.Option(help="environments to do, as tblock,toy [default: all it has]")] = "",
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
-    hours: Annotated[
-        float | None, typer.Option(min=0.0, help="begin no further piece after so many; the same command goes on")
-    ] = None,
-    keep: Annotated[
-        Path | None,
-        typer.Option(help="folder of pieces, the small text files of figures [default: RUNS/report/pieces]"),
-    ] = None,
+    hours: Hours = None,
+    keep: Keep = None,
     jobs: Jobs = 1,
     backend: Backend = "local",
     device: Device = "auto",
@@ -57,23 +64,20 @@ def reproduce(
 ) -> None:
     """Run an experiment of the paper, and print its table.
 
-    Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
+    Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report, and a piece of each part.
     """
+    from piegraph_cli.experiments.run import Work
+
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
         place = folder / "troubles"
         return emit(_told_before(place) if show else _troubles(place, quick, set or (), envs, jobs), as_json)
-    from piegraph_cli.experiments.run import Work
-
-    chosen = _chosen(experiment, quick, set or (), envs, data)
+    chosen, reports = _chosen(experiment, quick, set or (), envs, data), {}
     until = float("inf") if hours is None else time.monotonic() + 3600 * hours
-    reports = {}
+    options, place = running((), False, jobs, backend, device), keep or folder / "report" / "pieces"
     for name, params in chosen.items():
         command = command_line("reproduce", name, *(["--quick"] if quick else []), *_each("--set", set or ()))
-        work = Work(
-            folder, running((), False, jobs, backend, device), keep or folder / "report" / "pieces", command, until
-        )
-        reports[name] = _reproduce(name, params, work, show)
+        reports[name] = _reproduce(name, params, Work(folder, options, place, command, until), show)
     emit(_together(reports), as_json)
 
 

@@ -1,5 +1,6 @@
 """Pieces of the runs of an experiment: what is fresh there, read as it is kept."""
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,7 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
     """The pieces of one environment's trials, a model each, where all of them were tried."""
     place = f"{name}/{environment}"
     grid = open_run(folder / place, trial_recipe(params, environment, folder))
+    trained = open_run(folder / params.run_name(environment), recipe_of(params, environment, None))
     stage = STAGES["trials"]
     for label in dict.fromkeys(params.trial_labels(environment)):
         units = [str(unit) for unit in grid.units(stage) if split_name(str(unit))[1] == label]
@@ -133,6 +135,8 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
         artifacts = [
             read_artifact(grid.path("trials", u), "trials", ("pd", "cd", "seconds")) for u in units if u not in failures
         ]
+        of_network = trained_name(f"{label}.seed0") is not None
+        together = hashlib.sha256(" ".join(grid.key(stage, unit) for unit in units).encode()).hexdigest()
         failed = "; ".join(f"{unit}: {why.splitlines()[0]}" for unit, why in failures.items())
         yield Piece(
             kind="trials",
@@ -142,8 +146,8 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
             seed=None,
             command=command,
             made=_made(artifacts),
-            versions={stage.name: stage.version} | _network_versions(params, environment, folder, label),
-            keys={unit.partition(f"{label}.")[2]: grid.key(stage, unit) for unit in units},
+            versions={stage.name: stage.version} | (_versions(trained) if of_network else {}),
+            keys=({"dataset": trained.key(STAGES["dataset"], None)} if of_network else {}) | {"trials": together},
             settings=trials_in_force(params, environment),
             failed=failed or None,
             columns=["goal", "seed", "pd", "cd", "seconds"],
@@ -151,12 +155,9 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
         )
 
 
-def _network_versions(params: ExperimentParams, environment: str, folder: Path, label: str) -> dict[str, int]:
-    """Of the stages that a planner's network is from."""
-    if trained_name(f"{label}.seed0") is None:
-        return {}
-    run = open_run(folder / params.run_name(environment), recipe_of(params, environment, None))
-    return {s.name: s.version for s in run.chain if s.name not in ("evaluate", "plan")}
+def _versions(run: Run) -> dict[str, int]:
+    """Of the stages that a run's networks are from."""
+    return {stage.name: stage.version for stage in run.chain if stage.name not in ("evaluate", "plan")}
 
 
 def _trial_row(unit: str, trial: Artifact) -> list[Any]:

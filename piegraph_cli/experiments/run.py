@@ -145,7 +145,8 @@ def write_report(name: str, params: ExperimentParams, work: Work) -> tuple[dict[
     pieces = collect(name, params, folder, work.command)
     if not pieces:
         raise DataError("no run of this experiment has results yet", str(folder), f"piegraph reproduce {name}")
-    work.failed += keep_pieces(pieces, work.keep)
+    told = {str(error) for error in work.failed}
+    work.failed += [error for error in keep_pieces(pieces, work.keep) if str(error) not in told]
     results = put_together(name, params, pieces, shown_trials(name, params, folder))
     kept = read_pieces(work.keep) if work.keep.is_dir() else []
     value, lines = describe(params, results, kept)

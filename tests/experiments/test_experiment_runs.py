@@ -125,6 +125,10 @@ def test_every_model_and_seed_and_every_models_trials_leave_a_piece(done):
     assert (trials.seed, [row[:2] for row in trials.rows]) == (None, [[0, 0], [0, 1], [0, 2]])
     assert len(trials.rows[0][2]) == 2, "before and after the stroke"
     assert trials.settings["plan"]["samples"] == 4
+    assert trials.keys.keys() == {"dataset", "trials"}
+    assert trials.keys["dataset"] == ours.keys["dataset"]
+    assert kept["small/tblock/static.json"].keys.keys() == {"trials"}
+    assert kept["small/tblock/static.json"].versions == {"trials": STAGES["trials"].version}
     assert "model" not in trials.settings["plan"]
 
 

@@ -252,3 +252,27 @@ def test_a_search_gives_every_learned_model_as_many_candidates_on_sequences_of_i
         recipe = recipe_of(params, environment, None)
         seeds = {load_experiment(name, False).simulation for name in names() if name != "search"}
         assert recipe.params(STAGES["simulate"]).seed not in seeds
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ('variants={"pgnd:fast"={learning_rat=1e-3}}', 'variants."pgnd:fast".learning_rat: unknown setting'),
+        ('variants={"pgnd:fast"={learning_rate=-1.0}}', 'variants."pgnd:fast".learning_rate: Input should be greater'),
+        ('variants={"pngd:fast"={}}', 'variants."pngd:fast" is no variant of a model that learns'),
+        ('variants={"static:fast"={}}', 'variants."static:fast" is no variant of a model that learns'),
+        ('variants={"pgnd"={}}', 'variants."pgnd" is no variant of a model that learns'),
+        ('models=["pgnd:fast"]', 'no variants."pgnd:fast", which pgnd:fast@10 is'),
+        ('models=["pgdn"]', "no model pgdn"),
+        ('trials.models=["piegraph:fast"]', 'no variants."piegraph:fast"'),
+        ('trials.models=["gnn"]', "gnn@10 plans with gnn@10, which is not trained"),
+        ("trials.plan.sampels=7", "trials.plan.sampels: unknown setting"),
+        ("simulation=100", "trials and recordings are of simulation 0"),
+    ],
+)
+def test_a_name_that_nothing_knows_is_refused_before_an_hour_is_spent(change, reason):
+    with pytest.raises(UsageError) as caught:
+        load_experiment("planning", False, [change])
+    assert reason in caught.value.message
+    assert caught.value.where.endswith("planning.toml")
+    assert caught.value.hint

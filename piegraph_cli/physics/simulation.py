@@ -27,20 +27,29 @@ SHORTEST = 1e-6  # metres; below it a spring has no direction worth a force
 
 @dataclass(frozen=True)
 class PushParams:
-    """A spring object on a table, pushed by an upright disc or held by a hand. Numbers may be tensors with a gradient."""
+    """A spring object on a table, pushed by an upright disc or held by a hand.
+
+    Numbers may be tensors with a gradient, each a scalar or one of every scene [B].
+    """
 
     stiffness: float | Tensor = 0.15
     """α = k dt²/m of every spring, dimensionless."""
     damping: float | Tensor = 0.8
     """δ, the share of a velocity kept per iteration, dimensionless, in (0, 1]."""
     friction: float | Tensor = 0.0
-    """Coulomb coefficient of the table, dimensionless; acts on what presses down, so it needs `gravity`."""
-    gravity: float | Tensor = 0.0
-    """g dt², metres per iteration squared."""
+    """μ g dt², what Coulomb friction with the table takes of a velocity per iteration, metres."""
     radius: float | Tensor = 0.01
-    """Radius of the pusher, metres. It slips between particles further apart than its width: add half their spacing."""
+    """Radius of the pusher and of what the particles stand for, metres: as near as its middle comes to the contour."""
+    grip: float | Tensor = 0.0
+    """Coulomb coefficient of the pusher, dimensionless."""
     tension_only: bool = False
     """Springs pull but never push, as in cloth."""
+    settle: int | None = None
+    """Iterations that a scene goes on for after its disc has stopped, whatever others do; None: to the path's end."""
+
+    def numbers(self) -> tuple[float | Tensor, ...]:
+        """Stiffness, damping, friction, radius, grip."""
+        return self.stiffness, self.damping, self.friction, self.radius, self.grip
 
 
 class _Product(torch.autograd.Function):
@@ -119,15 +128,45 @@ def _move(positions: Tensor, velocity: Tensor, friction: float | Tensor) -> tupl
     return moved, velocity + correction
 
 
-def _keep_out(positions: Tensor, velocity: Tensor, centre: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Move particles [N, 3, B] inside the upright cylinder at centre [2, B] out to its wall, the shortest way."""
-    offset = positions[:, :2] - centre
-    middle = offset.abs().amax(1) < SHORTEST  # no way out is the shortest there: take the one along x
-    offset = offset + SHORTEST * torch.stack([middle, torch.zeros_like(middle)], dim=1)
-    distance = (offset * offset).sum(1).clamp_min(SHORTEST**2).sqrt()
-    out = torch.where((distance < radius)[:, None], offset * (radius / distance - 1)[:, None], 0.0)
-    correction = torch.cat([out, torch.zeros_like(out[:, :1])], dim=1)
-    return positions + correction, velocity + correction
+def _slow(velocity: Tensor, friction: float | Tensor) -> Tensor:
+    """What Coulomb friction with the table leaves of planar velocities [N, 2, B], metres per iteration."""
+    speed = (velocity * velocity).sum(1, keepdim=True).clamp_min(SHORTEST**4).sqrt()
+    return velocity * (1 - friction / speed).clamp_min(0)
+
+
+class _Contour:
+    """The segments that a pusher touches, and how its contact with them moves their ends."""
+
+    def __init__(self, graph: SpringGraph, device: torch.device):
+        self.first, self.second = torch.as_tensor(graph.touched.T.copy(), device=device)
+
+    def contact(
+        self, x: Tensor, velocity: Tensor, centre: Tensor, motion: Tensor, radius: float | Tensor, grip: float | Tensor
+    ) -> Tensor:
+        """How particles [N, 2, B] move for no segment to be inside the disc at centre [2, B], which has moved by motion.
+
+        The disc drags what it touches along, by at most `grip` times what it moves it aside. Of several segments that
+        move a particle the mean counts, those more that are deeper inside: all that meet in it are touched where it is.
+        """
+        start, along = x[self.first], x[self.second] - x[self.first]
+        square = (along * along).sum(1, keepdim=True).clamp_min(SHORTEST**2)
+        share = (((centre - start) * along).sum(1, keepdim=True) / square).clamp(0, 1)
+        offset = start + share * along - centre
+        middle = (offset * offset).sum(1) < SHORTEST**2  # no way out is the shortest there: take the one along x
+        offset = offset + SHORTEST * torch.stack([middle, torch.zeros_like(middle)], dim=1)
+        distance = (offset * offset).sum(1, keepdim=True).clamp_min(SHORTEST**2).sqrt()
+        depth = (radius - distance).clamp_min(0)
+        normal = offset / distance
+        slip = (1 - share) * velocity[self.first] + share * velocity[self.second] - motion
+        aside = torch.stack([-normal[:, 1], normal[:, 0]], dim=1)
+        slip = (slip * aside).sum(1, keepdim=True)
+        push = normal * depth - aside * torch.minimum(torch.maximum(slip, -grip * depth), grip * depth)
+        push = push / ((1 - share) ** 2 + share**2)
+        moved, whole = torch.zeros_like(x), torch.zeros_like(x[:, :1])
+        for particles, part in ((self.first, 1 - share), (self.second, share)):
+            moved = moved.index_add(0, particles, push * part * part * depth)
+            whole = whole.index_add(0, particles, part * depth)
+        return moved / whole.clamp_min(SHORTEST**2)
 
 
 def guide(
@@ -211,34 +250,37 @@ def push(
     params: PushParams = PushParams(),
     held: Tensor | None = None,
 ) -> Tensor:
-    """Push a spring object with an upright disc that no particle enters, one iteration per point of its path.
+    """Push a spring object over a table with an upright disc, one iteration per point of its path.
 
     positions: [B, N, 3] metres, at rest; path: [B, T, 2] metres, centre of the disc per iteration: repeat the last one
-    to let the object come to rest. held: [B, N] bool, particles that a hand holds and carries along the path at their
-    height; where a scene has any, there is no disc in it. Returns [B, N, 3]. Differentiable, also in the numbers of
+    to let the object come to rest. What of the graph's contour is in the disc is put out of it, once per iteration.
+    held: [B, N] bool, particles that a hand holds and carries along the path; where a scene has any, there is no disc in
+    it. Returns [B, N, 3]:
+    heights stay, as what lies on a table and is pushed or drawn keeps its own. Differentiable, also in the numbers of
     `params`. Raises UsageError for an unstable stiffness (with the bound) or a path that moves further than the disc's
     radius in one iteration, which would jump over particles.
-    Source: paper, Eq. 3, with contact as the external force (baselines SMS).
+    Source: paper, Eq. 3, with contact and friction as the external forces (baselines SMS).
     """
-    check_push(positions, path, graph, params)
-    springs = _springs(graph, positions.dtype, positions.device)
-    x = positions.permute(1, 2, 0).contiguous()
+    until = check_push(positions, path, graph, params)[:, 5]
+    springs, contour = _springs(graph, positions.dtype, positions.device), _Contour(graph, positions.device)
+    x, height = positions.permute(1, 2, 0).contiguous().split([2, 1], dim=1)
     velocity = torch.zeros_like(x)
-    weight = torch.zeros(3, 1, dtype=x.dtype, device=x.device)
-    weight = weight + torch.tensor([[0.0], [0.0], [1.0]], dtype=x.dtype, device=x.device) * params.gravity
     grip = None if held is None else held.t()[:, None]
     radius = params.radius if held is None else params.radius * ~held.any(1)
     last = path[:, 0].t()
-    for centre in path.permute(1, 2, 0):
-        before = x
-        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness, params.tension_only) - weight)
-        x, velocity = _move(x, velocity, params.friction)
-        x, velocity = _keep_out(x, velocity, centre, radius)
+    for t, centre in enumerate(path.permute(1, 2, 0)):
+        before, motion, goes_on = x, centre - last, t <= until
+        force = springs.acceleration(torch.cat([x, height], 1), params.stiffness, params.tension_only)[:, :2]
+        velocity = _slow(params.damping * (velocity + force), params.friction)
+        velocity = torch.where(goes_on, velocity, 0.0)
+        x = x + velocity
+        out = contour.contact(x, velocity, centre, motion, radius, params.grip)
+        out = torch.where(goes_on, out, 0.0)
+        x, velocity = x + out, velocity + out
         if grip is not None:
-            carried = before + torch.nn.functional.pad(centre - last, (0, 0, 0, 1))
-            x, velocity = torch.where(grip, carried, x), torch.where(grip, 0.0, velocity)
+            x, velocity = torch.where(grip, before + motion, x), torch.where(grip, 0.0, velocity)
         last = centre
-    return x.permute(2, 0, 1).contiguous()
+    return torch.cat([x, height], 1).permute(2, 0, 1).contiguous()
 
 
 def _speed(velocity: Tensor) -> float:
@@ -268,19 +310,29 @@ def check_guidance(
     check_stability(graph, params, 1.0 if weights is None else float(weights.detach().max()))
 
 
-def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> list[float]:
-    """Refuse what `push` cannot work with: see there. Returns stiffness, damping, friction, gravity, radius as numbers."""
+def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> Tensor:
+    """Refuse what `push` cannot work with: see there. Returns the numbers of every scene and its last iteration [B, 6]."""
     _check_state(positions, graph)
-    given = (params.stiffness, params.damping, params.friction, params.gravity, params.radius)
-    numbers = [float(torch.as_tensor(value).detach()) for value in given]
+    batch = len(positions)
+    given = [torch.as_tensor(value).detach().to(positions).expand(batch) for value in params.numbers()]
+    numbers = torch.stack(given, 1)
     stride = float((path[:, 1:] - path[:, :-1]).norm(dim=-1).max()) if path.shape[1] > 1 else 0.0
-    if stride > numbers[4]:
+    radius = float(numbers[:, 3].min())
+    if stride > radius:
         raise UsageError(
-            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {numbers[4]:.4g} m",
+            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {radius:.4g} m",
             hint="more iterations along the path",
         )
-    _check_bound(graph, numbers[0], numbers[1], 0.0)
-    return numbers
+    stiffness, damping = numbers[(numbers[:, 0] * numbers[:, 1] / (1 + numbers[:, 1])).argmax(), :2].tolist()
+    _check_bound(graph, stiffness, damping, 0.0)
+    moves = (path[:, 1:] != path[:, :-1]).any(-1)
+    stops = (
+        (moves * torch.arange(1, path.shape[1], device=path.device)).amax(1) if path.shape[1] > 1 else numbers[:, 0] * 0
+    )
+    until = (
+        torch.full_like(numbers[:, :1], path.shape[1]) if params.settle is None else (stops + params.settle)[:, None]
+    )
+    return torch.cat([numbers, until.to(numbers)], 1)
 
 
 def _check_bound(graph: SpringGraph, stiffness: float, damping: float, gain: float) -> None:

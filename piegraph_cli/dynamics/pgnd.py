@@ -12,14 +12,13 @@ import torch
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, small_linear
-from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.dynamics.examples import Step, Window
 from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import PGNDParams
 from piegraph_cli.params import PICK
 
 FRAME = 0.1
 """Seconds between frames, whatever the hand's pace was: pushes are quasi-static."""
-HISTORY = 2
 OCTAVES = 5
 NODES = 50
 """Grid nodes along each axis."""
@@ -99,11 +98,11 @@ class PGND(nn.Module):
         super().__init__()
         self.params = params
         self.align = _Align()
-        self.encode = _mlp(6 * (HISTORY + 1), 64, 128, 64)
+        self.encode = _mlp(6 * (params.history + 1), 64, 128, 64)
         self.decode = nn.Sequential(_mlp(3 + 6 * OCTAVES + 64, 64, 64, 32), nn.ReLU(), small_linear(32, 3))
 
     def features(self, past: Tensor, centre: Tensor) -> Tensor:
-        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last), the object at `centre`.
+        """Features [B, N, 64] of particles from their frames [B, frames, N, 3] (m, newest last), the object at `centre`.
 
         In decimetres inside, which replaces normalised layers: learning from metres takes several times as many steps.
         """
@@ -115,13 +114,13 @@ class PGND(nn.Module):
         return self.encode(torch.cat(rows, -1) * DECIMETRE)
 
     def pusher(self, hand: Tensor, motion: Tensor) -> Tensor:
-        """Frames [B, HISTORY + 2, P, 3] (m, newest last) of the points on a pusher that is at `hand` [B, 2] (m) now.
+        """Frames [B, frames, P, 3] (m, newest last) of the points on a pusher that is at `hand` [B, 2] (m) now.
 
         It goes straight on, by `motion` [B, 2] (m) from frame to frame: its velocity is that of the step to come.
         """
         angles = torch.arange(RING, device=hand.device) * (2 * math.pi / RING)
         ring = self.params.pusher * torch.stack([angles.cos(), angles.sin()], -1).to(hand)
-        back = torch.arange(HISTORY + 1, -1, -1, device=hand.device).to(hand)
+        back = torch.arange(self.params.frames - 1, -1, -1, device=hand.device).to(hand)
         axis = hand[:, None] - back[None, :, None] * motion[:, None]
         plane = (axis[:, :, None] + ring).repeat(1, 1, len(HEIGHTS), 1)
         heights = hand.new_tensor(HEIGHTS).repeat_interleave(RING).expand(*plane.shape[:-1])
@@ -169,11 +168,15 @@ class PGND(nn.Module):
         around = velocity.gather(1, place[..., None].expand(-1, -1, 3)).view(*touched.shape)
         return past[:, -1] + FRAME * (weights[..., None] * around).sum(2)
 
-    def loss(self, window: Window) -> Tensor:
-        """100 times the mean squared particle error (m^2) over the frames of a window."""
+    def loss(self, window: Window, step: Step | None = None) -> Tensor:
+        """100 times the mean squared particle error (m^2) over the frames of a window.
+
+        Of `step` in place of the network's own, where one is given.
+        """
+        step = step or self.step
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
-            x = self.step(past, window.hand[:, k], window.hand[:, k + 1], window.mode)
+            x = step(past, window.hand[:, k], window.hand[:, k + 1], window.mode)
             error = mean_seen((x - window.future[:, k]).square().sum(-1), window.known(k))
             total = total + 100 * (error * window.valid[:, k]).mean()
             past = torch.cat([past[:, 1:], x[:, None]], 1)

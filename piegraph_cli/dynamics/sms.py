@@ -14,7 +14,7 @@ from piegraph_cli.dynamics.params import SMSParams
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK
 from piegraph_cli.physics import spring_kernel
-from piegraph_cli.physics.simulation import PushParams
+from piegraph_cli.physics.pushing import PushParams
 from piegraph_cli.physics.springs import SpringGraph, build_springs, contour, stability_bound
 
 GRIP = 0.02
@@ -83,7 +83,7 @@ class SMS(nn.Module):
     def move(
         self, push, positions: Tensor, strokes: Strokes, graph: SpringGraph, fitted: Tensor | None = None
     ) -> Tensor:
-        """Positions [B, N, 3] (m) after strokes [B], by `push` of `physics.simulation` or its kernel.
+        """Positions [B, N, 3] (m) after strokes [B], by `push` of `physics.pushing` or of the kernel.
 
         `fitted` [5, B]: numbers of each scene, in place of the network's own.
         """
@@ -139,3 +139,9 @@ class WholeStrokes:
             error = ((moved - end[every]) * DECIMETRE).square().sum(-1)
             errors.append(mean_seen(error, None if seen is None else seen[every]).reshape(sets, count).mean(1))
         return torch.stack(errors).mean(0)
+
+    def static_loss(self, network: nn.Module, chosen: Tensor) -> Tensor:
+        """The same if nothing moves."""
+        moved = [(self.sequences[index][2:4], self.sequences[index][4]) for index in chosen.tolist()]
+        errors = [mean_seen(((b - a) * DECIMETRE).square().sum(-1), seen).mean() for (a, b), seen in moved]
+        return torch.stack(errors).mean()

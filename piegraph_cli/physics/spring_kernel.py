@@ -1,7 +1,7 @@
 """The spring-mass system as a kernel: guidance and a pusher's stroke, for many candidates at once.
 
-The truth is `physics.simulation`, in the same words; this holds to it within 1e-5 m and is tested so. A group of
-candidates stops when all of it is at rest, whatever the others do.
+The truth is `physics.simulation` and `physics.pushing`, in the same words; this holds to them within 1e-5 m and is tested so.
+A group of candidates stops when all of it is at rest, whatever the others do.
 """
 
 import functools
@@ -30,13 +30,8 @@ from piegraph_cli.kernels.lanes import (
 )
 from piegraph_cli.kernels.recorded import recording
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.simulation import (
-    CHECK_EVERY,
-    SHORTEST,
-    PushParams,
-    check_guidance,
-    check_push,
-)
+from piegraph_cli.physics.pushing import PushParams, check_push
+from piegraph_cli.physics.simulation import CHECK_EVERY, SHORTEST, check_guidance
 from piegraph_cli.physics.springs import SpringGraph
 
 LANES = 32
@@ -805,7 +800,7 @@ def push(
     params: PushParams = PushParams(),
     held: Tensor | None = None,
 ) -> Tensor:
-    """`physics.simulation.push` in float32, without gradients: positions [B, N, 3], path [B, T, 2] (m), held [B, N].
+    """`physics.pushing.push` in float32, without gradients: positions [B, N, 3], path [B, T, 2] (m), held [B, N].
 
     Raises as the reference does. Source: paper, Eq. 3, with contact as the external force.
     """

@@ -15,7 +15,7 @@ from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.params import PUSH
-from piegraph_cli.physics import simulation, spring_kernel
+from piegraph_cli.physics import pushing, simulation, spring_kernel
 from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.springs import contour, stability_bound
 from piegraph_cli.planning.costs import make_cost
@@ -85,9 +85,9 @@ def test_a_pusher(held):
     angle = torch.linspace(0, 2 * np.pi, 40)
     travel = torch.linspace(-0.25, 0.1, 400)[None, :, None]
     path = start.mean(1, keepdim=True)[..., :2] + travel * torch.stack([angle.cos(), angle.sin()], -1)[:, None]
-    params = simulation.PushParams(friction=2e-5, grip=0.4, radius=0.025)
+    params = pushing.PushParams(friction=2e-5, grip=0.4, radius=0.025)
     graph = replace(GRAPH, contour=contour(start[0].numpy()))
-    true = simulation.push(start.double(), path.double(), graph, params, grip if held else None)
+    true = pushing.push(start.double(), path.double(), graph, params, grip if held else None)
     found = spring_kernel.push(start.cuda(), path.cuda(), graph, params, grip.cuda() if held else None)
     assert float((found.cpu() - true).abs().max()) < 1e-5
 

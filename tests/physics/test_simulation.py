@@ -12,7 +12,8 @@ from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.simulation import PushParams, drive, guide, push
+from piegraph_cli.physics.pushing import PushParams, push
+from piegraph_cli.physics.simulation import drive, guide
 from piegraph_cli.physics.springs import build_springs, contour, stability_bound
 from tests.physics.objects import particles, turned
 

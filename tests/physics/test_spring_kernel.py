@@ -8,9 +8,9 @@ import torch
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.kernels import lanes
-from piegraph_cli.physics import simulation, spring_kernel
+from piegraph_cli.physics import pushing, simulation, spring_kernel
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.simulation import PushParams
+from piegraph_cli.physics.pushing import PushParams
 from piegraph_cli.physics.springs import build_springs, contour
 from tests.physics.objects import particles, turned
 
@@ -123,7 +123,7 @@ def test_a_pusher_agrees_with_the_reference(friction, tension_only, held):
     params = PushParams(0.1, damping=damping, friction=friction, radius=0.025, grip=drag, tension_only=tension_only)
     path[::3, 300:] = path[::3, 300:301]  # some stop before others, and settle for fewer iterations than are left
     params = replace(params, settle=40)
-    true = simulation.push(start.double(), path.double(), graph, params, grip if held else None)
+    true = pushing.push(start.double(), path.double(), graph, params, grip if held else None)
     found = spring_kernel.push(start, path, graph, params, grip if held else None)
     assert float((true - start).norm(dim=-1).mean()) > 0.01, "the pusher met the object"
     assert float((found - true).abs().max()) < 1e-5

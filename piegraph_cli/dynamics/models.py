@@ -141,7 +141,7 @@ def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
 
 
 def _springs_alone(network: sms.SMS, rest: torch.Tensor) -> Predict:
-    graph = build_springs(rest.cpu().numpy(), network.params.radius)
+    graph = sms.object_springs(rest.cpu().numpy(), network.params.radius)
 
     @torch.inference_mode()
     def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:

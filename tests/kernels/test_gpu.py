@@ -1,6 +1,7 @@
 """On a GPU: kernels against the references in float64 and against those of the CPU, streams, recorded plans, training."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.params import PUSH
-from piegraph_cli.physics import simulation, spring_kernel
+from piegraph_cli.physics import pushing, simulation, spring_kernel
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.springs import stability_bound
+from piegraph_cli.physics.springs import contour, stability_bound
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
@@ -84,9 +85,10 @@ def test_a_pusher(held):
     angle = torch.linspace(0, 2 * np.pi, 40)
     travel = torch.linspace(-0.25, 0.1, 400)[None, :, None]
     path = start.mean(1, keepdim=True)[..., :2] + travel * torch.stack([angle.cos(), angle.sin()], -1)[:, None]
-    params = simulation.PushParams(friction=0.5, gravity=1e-5, radius=0.025)
-    true = simulation.push(start.double(), path.double(), GRAPH, params, grip if held else None)
-    found = spring_kernel.push(start.cuda(), path.cuda(), GRAPH, params, grip.cuda() if held else None)
+    params = pushing.PushParams(friction=2e-5, grip=0.4, radius=0.025)
+    graph = replace(GRAPH, contour=contour(start[0].numpy()))
+    true = pushing.push(start.double(), path.double(), graph, params, grip if held else None)
+    found = spring_kernel.push(start.cuda(), path.cuda(), graph, params, grip.cuda() if held else None)
     assert float((found.cpu() - true).abs().max()) < 1e-5
 
 

@@ -37,12 +37,18 @@ class Calibration:
 
     @classmethod
     def fit(cls, signs: np.ndarray, errors: np.ndarray) -> "Calibration":
-        """From signs [n, 2] and errors [n] (m) of strokes that were not learned from: non-negative least squares."""
-        parts = np.column_stack([np.ones(len(signs)), signs]).astype(float)
-        parts *= np.array([1, 1, 1]) if len(signs) >= ENOUGH else np.array([0, 1, 0])
-        from scipy.optimize import nnls  # planning does without
+        """From signs [n, 2] and errors [n] (m) of strokes that were not learned from: non-negative least squares.
 
-        numbers = nnls(parts, np.asarray(errors, float))[0]
+        Which is least squares with some of the three parts, and a plan for a robot has no time to import SciPy for it.
+        """
+        parts, errors = np.column_stack([np.ones(len(signs)), signs]).astype(float), np.asarray(errors, float)
+        some = [(0, 1, 2), (0, 1), (0, 2), (1, 2), (0,), (1,), (2,)] if len(signs) >= ENOUGH else [(1,)]
+        fits = [np.zeros(3)]
+        for chosen in map(list, some):
+            numbers = np.zeros(3)
+            numbers[chosen] = np.linalg.lstsq(parts[:, chosen], errors, rcond=None)[0]
+            fits.append(numbers)
+        numbers = min((n for n in fits if (n >= 0).all()), key=lambda n: float(np.square(parts @ n - errors).sum()))
         expected = parts @ numbers
         known = expected > 0
         bound = float(np.quantile(errors[known] / expected[known], BOUND)) if known.any() else 1.0

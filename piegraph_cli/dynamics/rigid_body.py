@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.outline import edges_of, laid_on, outline_of
 from piegraph_cli.dynamics.params import RigidParams
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.dynamics.stroke import Strokes
@@ -60,6 +59,12 @@ class RigidBody(nn.Module):
         mean particle error (m) of the strokes after it, and how far (m) the particles are from moving rigidly. Raises
         `DataError` for picks, and for an outline of another body.
         """
+        from piegraph_cli.dynamics.outline import (
+            edges_of,
+            laid_on,
+            outline_of,
+        )  # OpenCV and SciPy: planning does without
+
         if data.picks:
             raise DataError("strokes that hold the object: a rigid body is pushed", hint="train another model")
         self.shape = torch.as_tensor(_centred(data.rest[0]), dtype=torch.float32)

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from piegraph_cli.dynamics.reliability import Calibration, calibrated_apart
 from piegraph_cli.evaluation.metrics import CENTIMETRE
@@ -37,6 +36,8 @@ def reliability(metrics: Metrics) -> list[dict[str, Any]]:
     hold for nine in ten; of each bin the mean expected error and the mean real one. Expected errors of several strokes are
     those of single strokes together, see `dynamics.reliability`.
     """
+    from scipy.stats import spearmanr  # a plan, which takes calibrations alone, does without
+
     horizons = sorted({int(h) for seeds in metrics.values() for one in seeds for h in one["horizon"]})
     rows = []
     for horizon in horizons:

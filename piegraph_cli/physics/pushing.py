@@ -118,7 +118,19 @@ def push(
         if grip is not None:
             x, velocity = torch.where(grip, before + motion, x), torch.where(grip, 0.0, velocity)
         last = centre
-    return torch.cat([x, height], 1).permute(2, 0, 1).contiguous()
+    return clear(torch.cat([x, height], 1).permute(2, 0, 1).contiguous(), path[:, -1], radius)
+
+
+def clear(positions: Tensor, centre: Tensor, radius: float | Tensor) -> Tensor:
+    """Particles [B, N, 3] put out of upright discs at centre [B, 2] (m) with radius (m; or [B]), the shortest way.
+
+    Contact with the contour, which bends where particles are moved by several segments, leaves them up to 2 mm inside.
+    """
+    radius = torch.as_tensor(radius).to(positions).reshape(-1, 1)
+    offset = positions[..., :2] - centre[:, None]
+    distance = offset.square().sum(-1).clamp_min(SHORTEST**2).sqrt()
+    out = torch.where(distance < radius, radius / distance - 1, 0.0)[..., None] * offset
+    return positions + torch.nn.functional.pad(out, (0, 1))
 
 
 def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> Tensor:

@@ -30,7 +30,7 @@ from piegraph_cli.kernels.lanes import (
 )
 from piegraph_cli.kernels.recorded import recording
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.pushing import PushParams, check_push
+from piegraph_cli.physics.pushing import PushParams, check_push, clear
 from piegraph_cli.physics.simulation import CHECK_EVERY, SHORTEST, check_guidance
 from piegraph_cli.physics.springs import SpringGraph
 
@@ -822,4 +822,4 @@ def push(
     terms = _Terms(False, params.tension_only, held=held is not None)
     kernel = _push_kernel(launch.lanes, terms) if launch.device.type == "cpu" else _push_blocks(terms)
     launch.run(kernel, [scene, stroke, _packed(graph, launch.device), _scratch(launch, graph.particles)])
-    return out
+    return clear(out, path[:, -1], numbers[:, 3])

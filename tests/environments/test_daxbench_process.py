@@ -209,10 +209,10 @@ def test_an_interpreter_that_is_none_is_told(tmp_path):
 def test_a_child_that_does_not_answer_is_stopped_in_time(fake_child, fault):
     env = fake_child(fault)
     env.reset(seed=0)
-    env._process._timeout = 0.5
+    env._process._timeout = 3  # the state is asked for first, which a busy machine may take a while for
     pid, begin = env._process._process.pid, time.monotonic()
-    with pytest.raises(DataError, match=r"did not answer within 0\.5 s in '(step|get_state)'"):
-        env.step(PUSH_UP)  # which asks for the state first: a busy machine may take as long for that
+    with pytest.raises(DataError, match=r"did not answer within 3 s in 'step'"):
+        env.step(PUSH_UP)
     assert time.monotonic() - begin < PATIENCE / 2
     assert not alive(pid)
 

@@ -127,7 +127,7 @@ def test_a_pusher_agrees_with_the_reference(friction, tension_only, held):
     found = spring_kernel.push(start, path, graph, params, grip if held else None)
     assert float((true - start).norm(dim=-1).mean()) > 0.01, "the pusher met the object"
     assert float((found - true).abs().max()) < 1e-5
-    inside = (found[:, :, :2] - path[:, -1:]).norm(dim=-1) < params.radius - 2e-3
+    inside = (found[:, :, :2] - path[:, -1:]).norm(dim=-1) < params.radius - 1e-5
     assert not inside[~grip.any(1)].any()
     carried = (found - start)[..., :2][grip]
     whole = (path[:, -1] - path[:, 0])[:, None].expand(-1, 50, -1)[grip]

@@ -15,6 +15,7 @@ from piegraph_cli.stages import STAGES, dataset, evaluate, models, open_run, pla
 from piegraph_cli.stages.learning import read_model, read_sequence
 from piegraph_cli.stages.models import load_model, save_model
 from piegraph_cli.stages.points import read_points
+from piegraph_cli.stages.train import RIGID
 from piegraph_cli.text import plain
 from piegraph_cli.workspace.artifact import read_artifact, write_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
@@ -66,7 +67,8 @@ def test_stages_tell_what_they_made(runs, run):
     model = run.read("model", "piegraph.seed4")
     last = f"loss {model['train_loss'][-1]:.4f} after 12 steps on "
     assert quality["train", "piegraph.seed4"].startswith(last)
-    assert quality["train", "piegraph.seed4"].endswith(f", {model['validation_loss'].min():.4f} on validation")
+    losses = f", {model['validation_loss'].min():.4f} on validation (nothing moves: {float(model['static_loss']):.4f})"
+    assert quality["train", "piegraph.seed4"].endswith(losses + RIGID)
     static = run.read("metrics", "static")
     means = [static["pd"][static["horizon"] == h].mean() for h in (1, 2)]
     assert quality["evaluate", "static"] == f"PD [cm] H=1 {means[0]:.2f}, H=2 {means[1]:.2f} on 1 held-out sequence"

@@ -237,7 +237,18 @@ class RigidParams(FittedParams):
         1.8, ge=1, description="coarsest triangles of the outline, times those that join the particles"
     )
     friction: float = Field(0.25, gt=0, description="friction with the pusher, before strokes are seen")
-    reach: float = Field(0.01, gt=0, description="distance of the pusher's centre from the outermost particles [m]")
+    reach: float = Field(
+        0.01,
+        gt=0,
+        description="distance of the pusher's centre from the outline that it keeps, before strokes are seen [m]",
+    )
+    outline: Path | None = Field(
+        None,
+        description="outline from above, x,y [m] in any frame: .csv, or .npz with outline (default: of the particles)",
+    )
+    fit: bool = Field(
+        True, description="fit the five numbers to the strokes; else they stay as before strokes are seen"
+    )
 
 
 class TrainParams(Params):
@@ -267,6 +278,13 @@ class TrainParams(Params):
     gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
     rigid: RigidParams = Field(RigidParams(), description="its settings")
     variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
+
+    def files(self) -> dict[str, Path]:
+        """As for all settings, and those of variants."""
+        known = {key for key in self.variants if split_label(key)[0] in LEARNED}
+        return super().files() | {
+            f"variants.{key}.{name}": file for key in sorted(known) for name, file in self.of(key).files().items()
+        }
 
     def seeds_of(self, label: str) -> tuple[int, ...]:
         """The seeds that a model is trained from."""

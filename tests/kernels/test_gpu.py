@@ -10,7 +10,7 @@ import torch
 from piegraph_cli.bench.kernels import graph_of, random_object
 from piegraph_cli.bench.pipeline import carried_sequences
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict, recordable
+from piegraph_cli.dynamics.models import MODELS, Trained, make_foresee, make_network, recordable
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams
 from piegraph_cli.dynamics.training import Trainer
@@ -139,8 +139,8 @@ def make_search(device: str, record: bool) -> tuple[Search, torch.Tensor]:
     state = rest.to(device)
     cost = make_cost("distance", state + torch.tensor([0.05, 0.02, 0.0], device=device), 50)
     space = stroke_space(state, params, (PUSH,), params.pusher_radius)
-    predict = make_predict("piegraph", trained, state, params)
-    return Search(predict, cost, space, params, torch.Generator(device).manual_seed(0), record), state
+    foresee = make_foresee("piegraph", trained, state, params)
+    return Search(foresee, cost, space, params, torch.Generator(device).manual_seed(0), record), state
 
 
 def test_a_recorded_plan_is_that_of_the_same_search_step_by_step():

@@ -183,7 +183,12 @@ def test_the_greedy_planner_carries_the_worst_particle_to_its_place():
     assert plan.strokes.mode[0] == PICK
     x, y = (SQUARE[7, :2] + goal[7, :2]).tolist()
     between = (x / 2 - 0.01, x / 2 + 0.01, y / 2 - 0.01, y / 2 + 0.01, 0.0, 0.3)
-    assert put_worst_right(SQUARE, goal, cost, replace(PICKS, keep_out=(between,))) is None
+    walled = replace(PICKS, keep_out=(between,))
+    assert put_worst_right(SQUARE, goal, cost, walled) is None
+    assert put_worst_right(goal, goal, cost, PICKS) is None, "all is in place"
+    goal[30, :2] += torch.tensor([0.02, -0.1])
+    second = put_worst_right(SQUARE, goal, cost, walled)
+    torch.testing.assert_close(second.strokes[0].ends, torch.stack([SQUARE[30, :2], goal[30, :2]]))
 
 
 def test_cem_ends_when_its_elites_are_as_good_as_the_best():

@@ -85,7 +85,7 @@ def interaction_figure(metrics: dict[str, Metrics]) -> Figure:
 
 
 def overlay_figure(shown: dict[str, dict[str, Artifact]]) -> Figure:
-    """One task per environment: the start, then what each model led to, over the goal in red.
+    """One goal and start per row: the start, then what each model led to under the goal in red, with PD and strokes.
 
     Source: paper, figure "Simulated Planning Results (Qualitative)".
     """

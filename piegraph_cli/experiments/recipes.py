@@ -120,8 +120,8 @@ def _repeats(label: str, labels: Sequence[str], train: TrainParams) -> bool:
 def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Recipe:
     """The grid of trials of an experiment in one environment."""
     assert params.trials is not None
-    values = params.trials.model_dump(mode="json") | {
-        "envs": [environment],
+    values = params.trials.model_dump(mode="json", exclude={"tasks"}) | {
+        "envs": params.trials.tasks.get(environment, (environment,)),  # type: ignore[call-overload]
         "models": params.trial_labels(environment),
         "trained": str(folder.resolve()),
     }

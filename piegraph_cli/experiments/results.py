@@ -24,7 +24,7 @@ class Results:
     """By environment and trained model, what each seed learned."""
     trials: list[Trial]
     shown: dict[str, dict[str, Artifact]]
-    """By environment and model, one trial to look at."""
+    """By task and model, one trial to look at."""
 
 
 def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
@@ -43,7 +43,8 @@ def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
             grid = open_run(folder / name / environment, trial_recipe(params, environment, folder))
             found = read_trials(grid)
             trials += found
-            shown[environment] = _one_of_each(found, grid)
+            for task in dict.fromkeys(trial.environment for trial in found):
+                shown[task] = _one_of_each([trial for trial in found if trial.environment == task], grid)
     return Results(metrics, models, trials, shown)
 
 
@@ -57,9 +58,7 @@ def _read_models(run: Run) -> dict[str, list[Artifact]]:
 
 
 def _one_of_each(trials: list[Trial], run: Run) -> dict[str, Artifact]:
-    """For every model its trial at the task in which the first model's final distance is the median one."""
-    if not trials:
-        return {}
+    """For every model its trial from that start to that goal where the first model's final distance is the median one."""
     first = sorted((t for t in trials if t.model == trials[0].model), key=lambda t: t.pd[-1])
     task = first[len(first) // 2]
     same = [t for t in trials if (t.goal, t.seed) == (task.goal, task.seed)]

@@ -1,5 +1,6 @@
 """What models learn from: tracked sequences, as pairs of frames for one-step models and as windows for frame-by-frame ones."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -131,6 +132,12 @@ class Pairs:
         predicted = network(start, strokes, rest, self.grasp[chosen])
         return dynamics_loss(predicted, end, rest.neighbors, self.shape_weight, seen)
 
+    def static_loss(self, network: nn.Module, chosen: torch.Tensor) -> torch.Tensor:
+        """The loss on the chosen pairs [B] if nothing moves."""
+        neighbors = self.rest[self.owner[chosen]].neighbors
+        seen = None if self.seen is None else self.seen[chosen]
+        return dynamics_loss(self.start[chosen], self.end[chosen], neighbors, self.shape_weight, seen)
+
     def __len__(self) -> int:
         return len(self.start)
 
@@ -207,6 +214,10 @@ def finer(data: Sequences, step: float) -> Sequences:
     )
 
 
+Step = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]
+"""Particles one frame later from past frames, the hand, where it goes, and the mode, as `Window` has them."""
+
+
 class Windows:
     """All windows of tracked strokes: a frame that is not a stroke's last, with what came before and comes after."""
 
@@ -246,8 +257,16 @@ class Windows:
 
     def loss(self, network: nn.Module, chosen: torch.Tensor, rng: np.random.Generator | None = None) -> torch.Tensor:
         """The network's own loss on the chosen windows [B], varied at random where `rng` is given."""
+        window = self._window(chosen)
+        return network.loss(window if rng is None else self._vary(window, rng))  # type: ignore[operator]
+
+    def static_loss(self, network: nn.Module, chosen: torch.Tensor) -> torch.Tensor:
+        """The network's own loss on the chosen windows [B] if nothing moves."""
+        return network.loss(self._window(chosen), lambda past, *_: past[:, -1])  # type: ignore[operator]
+
+    def _window(self, chosen: torch.Tensor) -> Window:
         past, after = self.past[chosen], self.after[chosen]
-        window = Window(
+        return Window(
             self.positions[past],
             self.hand[after],
             self.positions[after[:, 1:]],
@@ -256,7 +275,6 @@ class Windows:
             self.grasp[chosen],
             None if self.seen is None else self.seen[after[:, 1:]],
         )
-        return network.loss(window if rng is None else self._vary(window, rng))  # type: ignore[operator]
 
     def _vary(self, window: Window, rng: np.random.Generator) -> Window:
         past, hand, future = window.past, window.hand, window.future

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, gather_neighbors, small_linear
-from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.dynamics.examples import Step, Window
 from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import GBNDParams
 
@@ -74,12 +74,16 @@ class GBND(nn.Module):
             h = torch.cat([own, h[:, particles:]], 1)
         return x + self.head(h[:, :particles]) / SCALE
 
-    def loss(self, window: Window) -> Tensor:
-        """Mean squared particle error plus `edge_weight` times that of neighbours' distances, in dm^2."""
+    def loss(self, window: Window, step: Step | None = None) -> Tensor:
+        """Mean squared particle error plus `edge_weight` times that of neighbours' distances, in dm^2.
+
+        Of `step` in place of the network's own, where one is given.
+        """
+        step = step or self.step
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
             target, hand, seen = window.future[:, k], window.hand[:, k], window.known(k)
-            x = self.step(past, hand, window.hand[:, k + 1], window.mode)
+            x = step(past, hand, window.hand[:, k + 1], window.mode)
             error = mean_seen(((x - target) * DECIMETRE).square().sum(-1), seen)
             neighbors = self.graph(target, hand)[0][..., :-1]
             lengths = [

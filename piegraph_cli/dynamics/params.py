@@ -128,7 +128,10 @@ class LearningParams(FittedParams):
     weight_decay: float = Field(1e-4, ge=0, description="AdamW weight decay")
     clip: float = Field(1.0, gt=0, description="largest gradient norm")
     batch: int = Field(8, ge=1, description="training examples per step")
-    steps: int = Field(2600, ge=1, description="training steps")
+    steps: int = Field(2600, ge=1, description="training steps of the first cycle")
+    cycles: int = Field(
+        3, ge=1, description="most cycles, each as long as all before; the next only where validation gained 3 %"
+    )
 
 
 class GraphParams(LearningParams):
@@ -161,7 +164,7 @@ class SMSParams(LearningParams):
     learning_rate: float = Field(0.05, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
     batch: int = Field(2, ge=1, description="training sequences per step")
-    steps: int = Field(120, ge=1, description="training steps")
+    steps: int = Field(120, ge=1, description="training steps of the first cycle")
     radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
     stride: float = Field(1e-3, gt=0, description="the hand's motion per iteration [m]")
     settle: int = Field(20, ge=0, description="iterations after the hand has stopped")
@@ -188,7 +191,7 @@ class PGNDParams(StepParams):
     learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
     clip: float = Field(0.1, gt=0, description="largest gradient norm")
-    steps: int = Field(2000, ge=1, description="training steps")
+    steps: int = Field(2000, ge=1, description="training steps of the first cycle")
     rollout: int = Field(5, ge=1, description="frames predicted in a row in training")
     noise: float = Field(0.0, ge=0, description="noise on the particles in training [m]")
     cell: float = Field(0.02, gt=0, description="edge of a grid cell [m]")
@@ -202,7 +205,7 @@ class GBNDParams(StepParams):
 
     learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
-    steps: int = Field(1500, ge=1, description="training steps")
+    steps: int = Field(1500, ge=1, description="training steps of the first cycle")
     hidden: int = Field(150, ge=1, description="width of the network")
     neighbors: int = Field(5, ge=1, description="neighbours of a particle in the graph")
     radius: float = Field(0.075, gt=0, description="particles further apart than this are no neighbours [m]")

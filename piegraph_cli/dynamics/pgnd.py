@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, small_linear
-from piegraph_cli.dynamics.examples import Window
+from piegraph_cli.dynamics.examples import Step, Window
 from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import PGNDParams
 from piegraph_cli.params import PICK
@@ -169,11 +169,15 @@ class PGND(nn.Module):
         around = velocity.gather(1, place[..., None].expand(-1, -1, 3)).view(*touched.shape)
         return past[:, -1] + FRAME * (weights[..., None] * around).sum(2)
 
-    def loss(self, window: Window) -> Tensor:
-        """100 times the mean squared particle error (m^2) over the frames of a window."""
+    def loss(self, window: Window, step: Step | None = None) -> Tensor:
+        """100 times the mean squared particle error (m^2) over the frames of a window.
+
+        Of `step` in place of the network's own, where one is given.
+        """
+        step = step or self.step
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
-            x = self.step(past, window.hand[:, k], window.hand[:, k + 1], window.mode)
+            x = step(past, window.hand[:, k], window.hand[:, k + 1], window.mode)
             error = mean_seen((x - window.future[:, k]).square().sum(-1), window.known(k))
             total = total + 100 * (error * window.valid[:, k]).mean()
             past = torch.cat([past[:, 1:], x[:, None]], 1)

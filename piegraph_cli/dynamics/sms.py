@@ -98,3 +98,9 @@ class WholeStrokes:
             error = (network.move(simulation.push, start, strokes, graph) - end) * DECIMETRE
             errors.append(mean_seen(error.square().sum(-1), seen).mean())
         return torch.stack(errors).mean()
+
+    def static_loss(self, network: nn.Module, chosen: Tensor) -> Tensor:
+        """The same if nothing moves."""
+        moved = [(self.sequences[index][2:4], self.sequences[index][4]) for index in chosen.tolist()]
+        errors = [mean_seen(((b - a) * DECIMETRE).square().sum(-1), seen).mean() for (a, b), seen in moved]
+        return torch.stack(errors).mean()

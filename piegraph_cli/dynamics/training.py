@@ -1,7 +1,7 @@
 """The training loop as an object that can be stopped, stored as arrays and taken up again bit for bit."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +17,9 @@ HELD_OUT = 256
 CHUNK = 64
 """Examples in one validation batch."""
 
+FALLS = 0.03
+"""A cycle that lowers the best validation loss by less than this share is the last one."""
+
 
 class Examples(Protocol):
     """What a network learns from."""
@@ -26,9 +29,17 @@ class Examples(Protocol):
     def loss(self, network: nn.Module, chosen: torch.Tensor, rng: np.random.Generator | None = None, /) -> torch.Tensor:
         """The loss on the chosen examples [B]; with `rng` they are varied at random, as training wants it."""
 
+    def static_loss(self, network: nn.Module, chosen: torch.Tensor, /) -> torch.Tensor:
+        """The same if nothing moves."""
+
 
 class Trainer:
-    """AdamW with a cosine over `params.steps`; step t draws its batch from (seed, t) alone, so resuming changes nothing."""
+    """AdamW, whose rate falls along a cosine; step t draws its batch from (seed, t) alone, so resuming changes nothing.
+
+    The first cosine takes `params.steps`. Where there are examples to validate on, another one as long as all before it
+    begins as long as the last one lowered the best validation loss by 3 %, up to `params.cycles`.
+    Source: cycles that start anew, each twice as long, Loshchilov and Hutter, "SGDR", 2017.
+    """
 
     def __init__(
         self,
@@ -53,13 +64,32 @@ class Trainer:
         self.history: list[tuple[int, float, float]] = []
         self.recent = [0.0, 0.0]
 
+    @property
+    def cycle(self) -> tuple[int, int]:
+        """The first step of the cycle that the next step is in, and the first of the one after it."""
+        begin, end = 0, self.params.steps
+        while self.done >= end:
+            begin, end = end, 2 * end
+        return begin, end
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing more is gained: only ever where a cycle ends, after `record`."""
+        (begin, end), first = self.cycle, self.params.steps
+        if self.done != begin or not self.done:
+            return False
+        if self.validation is None or not len(self.validation) or end > first * 2 ** (self.params.cycles - 1):
+            return True
+        before = min((v for step, _, v in self.history if step <= begin // 2 and math.isfinite(v)), default=math.inf)
+        return begin > first and not self.best_loss < (1 - FALLS) * before
+
     def step(self) -> None:
         """One step on a random batch. Raises `DataError` when training has diverged."""
-        params = self.params
+        params, (begin, end) = self.params, self.cycle
         rng = np.random.default_rng([self.seed, self.done])
         batch = torch.as_tensor(rng.integers(0, len(self.examples), params.batch), device=self.device)
         for group in self.optimizer.param_groups:
-            group["lr"] = params.learning_rate * 0.5 * (1 + math.cos(math.pi * self.done / params.steps))
+            group["lr"] = params.learning_rate * 0.5 * (1 + math.cos(math.pi * (self.done - begin) / (end - begin)))
         loss = self.examples.loss(self.network, batch, rng)
         self.optimizer.zero_grad()
         loss.backward()
@@ -68,7 +98,7 @@ class Trainer:
         self.done += 1
         value = loss.item()
         if not math.isfinite(value):
-            raise DataError(f"training diverged at step {self.done}", hint="lower the learning rate")
+            raise DataError(f"training diverged at step {self.done}", hint="lower its learning_rate")
         self.recent = [self.recent[0] + value, self.recent[1] + 1]
 
     @torch.no_grad()
@@ -79,16 +109,24 @@ class Trainer:
         """
         loss = math.nan
         if self.validation is not None and len(self.validation):
-            count = min(len(self.validation), HELD_OUT)
-            chosen = torch.linspace(0, len(self.validation) - 1, count, device=self.device).long()
-            losses = [self.validation.loss(self.network, c).item() * len(c) for c in chosen.split(CHUNK)]
-            loss = sum(losses) / count
+            loss = self._mean(self.validation, self.validation.loss)
         if not loss >= self.best_loss:
             self.best_loss = loss if math.isfinite(loss) else math.inf
             self.best = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
         self.history.append((self.done, self.recent[0] / max(self.recent[1], 1), loss))
         self.recent = [0.0, 0.0]
         return self.history[-1]
+
+    @torch.no_grad()
+    def static_loss(self) -> float:
+        """What the loss is if nothing moves: on validation, or where there is none, on what it learns from."""
+        examples = self.validation if self.validation is not None and len(self.validation) else self.examples
+        return self._mean(examples, examples.static_loss)
+
+    def _mean(self, examples: Examples, loss: Callable[[nn.Module, torch.Tensor], torch.Tensor]) -> float:
+        count = min(len(examples), HELD_OUT)
+        chosen = torch.linspace(0, len(examples) - 1, count, device=self.device).long()
+        return sum(loss(self.network, c).item() * len(c) for c in chosen.split(CHUNK)) / count
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything `load` needs, as arrays."""

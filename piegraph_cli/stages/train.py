@@ -28,7 +28,7 @@ STATES = 400
 """States of the object that tell how large it is, at most."""
 
 RECORDS = 20
-"""Losses are noted this many times in a training."""
+"""Losses are noted this many times in the first cycle of a training."""
 
 
 def model_name(label: str, seed: int) -> str:
@@ -144,7 +144,7 @@ STAGE = Stage(
     ("dataset",),
     "model",
     TrainParams,
-    version=6,
+    version=7,
     run="piegraph_cli.stages.train:run",
     unit="model",
     units=_units,
@@ -189,12 +189,20 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     _fit(trainer, params, context)
     steps, train, validation_loss = np.array(trainer.history).T
+    static = trainer.static_loss()
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
-    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss}
-    quality = f"loss {train[-1]:.4f} after {counted(settings.steps, 'step')} on {len(trainer.examples)} examples"
-    if not math.isnan(trainer.best_loss) and validation is not None:
+    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss, "static_loss": np.array(static)}
+    quality = f"loss {train[-1]:.4f} after {counted(trainer.done, 'step')} on {len(trainer.examples)} examples"
+    if validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
-    return Output(arrays | about, quality)
+    quality += f" (nothing moves: {static:.4f})"
+    warnings = []
+    if not (train[-1] if validation is None else trainer.best_loss) < static:
+        warnings.append(
+            f"did not learn: the loss is not below {static:.4f}, that of nothing moving; "
+            f"try more steps (--steps), another learning rate, or more recordings"
+        )
+    return Output(arrays | about, quality, warnings)
 
 
 def _about(data: "Sequences") -> dict[str, Any]:
@@ -219,7 +227,10 @@ def _fit_body(body: "RigidBody", data: "Sequences", about: dict[str, Any]) -> Ou
     error, bent = body.fit(data)
     friction, c, reach, *_ = body.numbers.tolist()
     arrays = {f"weights/{name}": value.numpy() for name, value in body.state_dict().items()}
+    first, last = data.strokes.T
+    static = np.linalg.norm(data.positions[last] - data.positions[first], axis=-1).mean()
     arrays |= {"step": np.array([1]), "train_loss": np.array([error]), "validation_loss": np.array([math.nan])}
+    arrays |= {"static_loss": np.array(static, np.float64)}
     quality = f"{error * 100:.2f} cm a stroke on {len(data.strokes)} strokes; friction {friction:.2f}, "
     quality += f"turning length {c * 1000:.0f} mm, pusher {reach * 1000:.1f} mm from the outermost particles"
     warnings = []
@@ -235,18 +246,19 @@ def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:
     saved = context.checkpoint.load()
     if saved is not None:
         trainer.load(saved)
-    settings = trainer.params
-    every = max(1, settings.steps // RECORDS)
+    every = max(1, trainer.params.steps // RECORDS)
     writer = _tensorboard(context) if params.tensorboard else None
-    for step in context.progress(range(trainer.done + 1, settings.steps + 1), "steps"):
-        trainer.step()
-        if step % every == 0 or step == settings.steps:
-            _, loss, found = trainer.record()
-            if writer is not None:
-                writer.add_scalar("loss/train", loss, step)
-                writer.add_scalar("loss/validation", found, step)
-        if step % params.checkpoint_every == 0 and step < settings.steps:
-            context.checkpoint.save(trainer.state())
+    while not trainer.finished:
+        end = trainer.cycle[1]
+        for step in context.progress(range(trainer.done + 1, end + 1), "steps"):
+            trainer.step()
+            if step % every == 0 or step == end:
+                _, loss, found = trainer.record()
+                if writer is not None:
+                    writer.add_scalar("loss/train", loss, step)
+                    writer.add_scalar("loss/validation", found, step)
+            if step % params.checkpoint_every == 0 and not trainer.finished:
+                context.checkpoint.save(trainer.state())
     if writer is not None:
         writer.close()
 

@@ -183,6 +183,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "step": Field("record", "1", "int64", low=0, high=INF),
         "train_loss": Field("record", "the model's own", "float64"),
         "validation_loss": Field("record", "the model's own", "float64", nan=True),
+        "static_loss": Field("", "the model's own", "float64", low=0, high=INF, optional=True),
     },
     "checkpoint": {"state/*": Field("*", "1", "*", nan=True)},
     "metrics": {

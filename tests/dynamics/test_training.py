@@ -1,5 +1,8 @@
 """Training: it learns, it repeats itself bit for bit, it goes on from stored arrays, and it chooses weights as it says."""
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -126,3 +129,66 @@ def test_mirrored_training_predicts_mirrored_scenes():
         with torch.no_grad():
             losses[mirror] = unseen.loss(trainer.network, torch.arange(60)).item()
     assert losses[True] < 0.7 * losses[False]
+
+
+class Foreseen:
+    """Examples whose validation losses are given: one for each record."""
+
+    def __init__(self, losses: list[float]):
+        self.losses = losses
+
+    def __len__(self) -> int:
+        return 1
+
+    def loss(self, network, chosen, rng=None):
+        zero = 0 * next(network.parameters()).sum()
+        return zero if rng is not None else zero + self.losses.pop(0)
+
+
+@pytest.mark.parametrize(
+    ("losses", "cycles", "steps"),
+    [
+        ([1.0, 0.98, 0.5], 3, 8),  # the second cycle gained less than 3 %
+        ([1.0, 0.9, 0.5], 3, 16),
+        ([1.0, 0.9, 0.88, 0.1], 4, 16),  # the third one did
+        ([1.0, 0.9, 0.8, 0.7], 4, 32),
+        ([1.0, 1.5, 0.5], 3, 8),
+        ([1.0, 0.5], 1, 4),
+        ([math.nan, 0.5, 0.4], 3, 16),
+        (None, 3, 4),  # nothing to validate on: one cycle
+    ],
+)
+def test_another_cycle_as_long_as_all_before_begins_where_the_last_one_gained_3_percent(losses, cycles, steps):
+    params = EGNNParams(hidden=8, layers=2, steps=4, cycles=cycles, learning_rate=1.0)
+    examples = Foreseen([])
+    validation = None if losses is None else Foreseen(losses)
+    trainer, rates = Trainer(make_network("piegraph", params, False, 0), examples, validation, params, 0), []
+    while not trainer.finished:
+        trainer.step()
+        rates.append(trainer.optimizer.param_groups[0]["lr"])
+        if trainer.done == trainer.cycle[0]:
+            trainer.record()
+    assert trainer.done == steps
+    starts = [k for k, rate in enumerate(rates) if rate == 1.0]
+    assert starts == [k for k in (0, 4, 8, 16) if k < steps], "the rate starts anew with each cycle"
+    assert all(b < a for k, (a, b) in enumerate(pairwise(rates), 1) if k not in starts)
+
+
+def test_taken_up_again_in_a_later_cycle_it_stops_where_it_would_have():
+    params = EGNNParams(hidden=8, layers=2, steps=4, cycles=4)
+    first = Trainer(make_network("piegraph", params, False, 0), pairs(), Foreseen([1.0, 0.9, 0.89]), params, 0)
+    whole = first
+    while not first.finished and first.done < 10:
+        first.step()
+        if first.done == first.cycle[0]:
+            first.record()
+    again = Trainer(make_network("piegraph", params, False, 0), pairs(), Foreseen([0.89]), params, 0)
+    again.load(first.state())
+    for trainer in (whole, again):
+        while not trainer.finished:
+            trainer.step()
+            if trainer.done == trainer.cycle[0]:
+                trainer.record()
+    assert (whole.done, again.done) == (16, 16)
+    for name, value in whole.network.state_dict().items():
+        assert torch.equal(value, again.network.state_dict()[name])

@@ -67,9 +67,8 @@ class GBND(nn.Module):
         # what is not near sends nothing: no message is below zero
         relation, h = self.relate(edges).masked_fill(~near[..., None], -torch.inf), nodes
         for _ in range(ROUNDS):
-            message = gather_neighbors(self.send(h), neighbors).add_(relation)
-            message = message.add_(self.receive(h[:, :particles])[:, :, None]).relu_()
-            gathered = message.sum(2)
+            message = relation + self.receive(h[:, :particles])[:, :, None]
+            gathered = message.add_(gather_neighbors(self.send(h), neighbors)).relu_().sum(2)
             own = torch.relu(self.update(torch.cat([nodes[:, :particles], gathered], -1)) + h[:, :particles])
             h = torch.cat([own, h[:, particles:]], 1)
         return x + self.head(h[:, :particles]) / SCALE

@@ -50,7 +50,7 @@ def test_a_variant_that_changes_nothing_is_left_out():
     assert ours == ["piegraph@100", "piegraph:nopool@100", "piegraph:nomirror@100", "piegraph:nohead@100"]
     search = recipe_of(load_experiment("search", False), "rope-bendy", None).params(STAGES["train"])
     assert isinstance(search, TrainParams)
-    assert len(search.models) == 18
+    assert len(search.models) == 28
 
 
 def test_an_experiment_end_to_end(tmp_path):
@@ -210,3 +210,22 @@ def test_troubles_show_what_was_made_and_make_nothing(tmp_path):
     (report / "troubles.json").write_text(json.dumps(made))
     assert piegraph(*show).stdout == "kind  right\n"
     assert piegraph_json(*show) == {"troubles": made}
+
+
+def test_a_search_gives_every_learned_model_as_many_candidates_on_sequences_of_its_own():
+    params = load_experiment("search", False)
+    models = [label.partition(":")[0] for label in params.models]
+    learned = {"piegraph", "egnn-g", "gnn", "gnn-aug", "sms-o", "pgnd", "gbnd"}
+    assert {name: models.count(name) for name in learned} == dict.fromkeys(learned, 4)
+    assert set(models) == learned
+    names_of = {
+        model: {key for label, of in params.variants.items() if label.startswith(f"{model}:") for key in of}
+        for model in learned
+    }
+    assert all(set(of) == names_of[label.partition(":")[0]] for label, of in params.variants.items()), (
+        "all that is searched"
+    )
+    for environment in params.interactions:
+        recipe = recipe_of(params, environment, None)
+        seeds = {load_experiment(name, False).simulation for name in names() if name != "search"}
+        assert recipe.params(STAGES["simulate"]).seed not in seeds

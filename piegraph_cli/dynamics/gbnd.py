@@ -1,7 +1,9 @@
-"""Graph-based neural dynamics: messages between near particles and a tool node, frame by frame.
+"""Graph-based neural dynamics: messages between near particles and nodes on the tool, frame by frame.
 
 Source: the baselines PropNet and AdaptiGraph, in the sizes that docs/method.md gives.
 """
+
+import math
 
 import torch
 from torch import Tensor, nn
@@ -10,12 +12,14 @@ from piegraph_cli.dynamics.egnn import DECIMETRE, gather_neighbors, small_linear
 from piegraph_cli.dynamics.examples import Step, Window
 from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import GBNDParams
+from piegraph_cli.params import PICK
 
-HISTORY = 3
 ROUNDS = 3
 """Propagation steps."""
 TOOL_HEIGHT = 0.01
 """Metres above the table."""
+RING = 4
+"""Nodes on the tool, around its axis."""
 SCALE = 20.0
 """Displacements of one frame are some centimetres: in the network they are in units of 5 cm."""
 
@@ -31,38 +35,51 @@ class GBND(nn.Module):
         super().__init__()
         self.params = params
         width = params.hidden
-        self.nodes = _encoder(3 * HISTORY + 1 + 2 + 3 + 1, width)
+        self.nodes = _encoder(3 * params.history + 1 + 2 + 3 + 1, width)
         self.edges = _encoder(3 + 1 + 1, width)
         self.receive, self.send = nn.Linear(width, width), nn.Linear(width, width, bias=False)
         self.relate = nn.Linear(width, width, bias=False)
         self.update = nn.Linear(2 * width, width)
         self.head = nn.Sequential(nn.Linear(width, width), nn.ReLU(), small_linear(width, 3))
 
-    def graph(self, positions: Tensor, hand: Tensor) -> tuple[Tensor, Tensor]:
-        """Neighbours [B, N, k + 1] of every particle, the tool (index N) last, and which of these are near [B, N, k + 1]."""
+    def tool(self, hand: Tensor, mode: Tensor) -> Tensor:
+        """Nodes [B, RING, 3] (m) on a tool at `hand` [B, 2] (m): around a pusher, all in one place where it holds."""
+        angles = torch.arange(RING, device=hand.device) * (2 * math.pi / RING)
+        ring = self.params.pusher * torch.stack([angles.cos(), angles.sin()], -1).to(hand)
+        place = hand[:, None] + torch.where((mode == PICK)[:, None, None], torch.zeros_like(ring), ring)
+        return torch.nn.functional.pad(place, (0, 1), value=TOOL_HEIGHT)
+
+    def neighbors(self, positions: Tensor) -> tuple[Tensor, Tensor]:
+        """The nearest other particles [B, N, k] of every particle, and how far away they are [B, N, k] (m)."""
         count = min(self.params.neighbors, positions.shape[1] - 1)
         distances = torch.cdist(positions, positions)
         distances.diagonal(dim1=-2, dim2=-1).fill_(torch.inf)
         nearest, neighbors = distances.topk(count, largest=False)
-        tool = (positions[..., :2] - hand[:, None]).norm(dim=-1, keepdim=True)
-        number = torch.full_like(neighbors[..., :1], positions.shape[1])
-        return torch.cat([neighbors, number], -1), torch.cat([nearest, tool], -1) < self.params.radius
+        return neighbors, nearest
+
+    def graph(self, positions: Tensor, tool: Tensor) -> tuple[Tensor, Tensor]:
+        """Neighbours [B, N, k + RING] of every particle, the tool's nodes (from index N on) last, and which are near."""
+        neighbors, nearest = self.neighbors(positions)
+        apart = torch.cdist(positions[..., :2], tool[..., :2])
+        number = positions.shape[1] + torch.arange(RING, device=tool.device).expand(apart.shape)
+        return torch.cat([neighbors, number], -1), torch.cat([nearest, apart], -1) < self.params.radius
 
     def step(self, past: Tensor, hand: Tensor, after: Tensor, mode: Tensor) -> Tensor:
-        """Particles [B, N, 3] one frame later; past [B, HISTORY + 1, N, 3], hand and where it goes [B, 2] (m), mode [B]."""
+        """Particles [B, N, 3] one frame later; past [B, frames, N, 3], hand and where it goes [B, 2] (m), mode [B]."""
         x = past[:, -1]
         batch, particles, _ = x.shape
-        neighbors, near = self.graph(x.detach(), hand)
+        place = self.tool(hand, mode)
+        neighbors, near = self.graph(x.detach(), place)
+        before = 3 * self.params.history
         moved = (past[:, 1:] - past[:, :-1]).transpose(1, 2).flatten(2) * SCALE
         own = torch.cat([moved, x[..., 2:] * DECIMETRE], -1)
-        own = torch.nn.functional.pad(own, (0, 6)) + x.new_tensor([0.0] * (3 * HISTORY + 1) + [1, 0, 0, 0, 0, 0])
+        own = torch.nn.functional.pad(own, (0, 6)) + x.new_tensor([0.0] * (before + 1) + [1, 0, 0, 0, 0, 0])
         motion = torch.nn.functional.pad((after - hand) * SCALE, (0, 1))
-        kind = x.new_tensor([0.0] * 3 * HISTORY + [TOOL_HEIGHT * DECIMETRE, 0, 1]).expand(batch, -1)
-        tool = torch.cat([kind, motion, mode[:, None].to(x)], -1)[:, None]
+        kind = x.new_tensor([0.0] * before + [TOOL_HEIGHT * DECIMETRE, 0, 1]).expand(batch, -1)
+        tool = torch.cat([kind, motion, mode[:, None].to(x)], -1)[:, None].expand(-1, RING, -1)
         nodes = self.nodes(torch.cat([own, tool], 1))
-        place = torch.cat([hand, torch.full_like(hand[:, :1], TOOL_HEIGHT)], -1)[:, None]
         offset = (x[:, :, None] - gather_neighbors(torch.cat([x, place], 1), neighbors)) * DECIMETRE
-        is_tool = (neighbors == particles).to(x)[..., None]
+        is_tool = (neighbors >= particles).to(x)[..., None]
         edges = self.edges(torch.cat([offset, (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt(), is_tool], -1))
         # what is not near sends nothing: no message is below zero
         relation, h = self.relate(edges).masked_fill(~near[..., None], -torch.inf), nodes
@@ -81,10 +98,10 @@ class GBND(nn.Module):
         step = step or self.step
         past, total = window.past, window.past.new_zeros(())
         for k in range(window.future.shape[1]):
-            target, hand, seen = window.future[:, k], window.hand[:, k], window.known(k)
-            x = step(past, hand, window.hand[:, k + 1], window.mode)
+            target, seen = window.future[:, k], window.known(k)
+            x = step(past, window.hand[:, k], window.hand[:, k + 1], window.mode)
             error = mean_seen(((x - target) * DECIMETRE).square().sum(-1), seen)
-            neighbors = self.graph(target, hand)[0][..., :-1]
+            neighbors, _ = self.neighbors(target)
             lengths = [
                 ((p[:, :, None] - gather_neighbors(p, neighbors)).square().sum(-1) + 1e-12).sqrt() for p in (x, target)
             ]

@@ -113,36 +113,33 @@ def _in_torch(trained: Trained, rest: torch.Tensor) -> Predict:
     return predict
 
 
-def _frame_by_frame(history: int) -> Callable[[Trained, torch.Tensor], Predict]:
+def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
     """The object rests before a stroke; the hand goes as in the training data, and waits where it ends."""
+    settings = trained.settings
+    assert isinstance(settings, StepParams)
+    pace = min(trained.pace, settings.step)
 
-    def make(trained: Trained, rest: torch.Tensor) -> Predict:
-        assert isinstance(trained.settings, StepParams)
-        pace = min(trained.pace, trained.settings.step)
+    def roll(x: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+        """Of strokes of which none is longer than those before it: those that still move come first."""
+        start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
+        past, hand, x = x[:, None].expand(-1, settings.frames, -1, -1), start, x.clone()
+        for k in range(1, math.ceil(float(length.max()) / pace) + 1):
+            moving = int((length > (k - 1 + SHORTEST) * pace).sum())
+            if moving == 0:
+                break
+            after = start + along / length * torch.minimum(length, length.new_tensor(k * pace))
+            past, hand, after = past[:moving], hand[:moving], after[:moving]
+            x[:moving] = trained.network.step(past, hand, after, strokes.mode[:moving])  # type: ignore[operator]
+            past, hand = torch.cat([past[:, 1:], x[:moving, None]], 1), after
+        return x
 
-        def roll(x: torch.Tensor, strokes: Strokes) -> torch.Tensor:
-            """Of strokes of which none is longer than those before it: those that still move come first."""
-            start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
-            past, hand, x = x[:, None].expand(-1, history + 1, -1, -1), start, x.clone()
-            for k in range(1, math.ceil(float(length.max()) / pace) + 1):
-                moving = int((length > (k - 1 + SHORTEST) * pace).sum())
-                if moving == 0:
-                    break
-                after = start + along / length * torch.minimum(length, length.new_tensor(k * pace))
-                past, hand, after = past[:moving], hand[:moving], after[:moving]
-                x[:moving] = trained.network.step(past, hand, after, strokes.mode[:moving])  # type: ignore[operator]
-                past, hand = torch.cat([past[:, 1:], x[:moving, None]], 1), after
-            return x
+    @torch.inference_mode()
+    def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+        order = strokes.length.argsort(descending=True)
+        chunks = zip(positions[order].split(CHUNK), strokes[order].split(CHUNK), strict=True)
+        return torch.cat([roll(x, stroke) for x, stroke in chunks])[order.argsort()]
 
-        @torch.inference_mode()
-        def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
-            order = strokes.length.argsort(descending=True)
-            chunks = zip(positions[order].split(CHUNK), strokes[order].split(CHUNK), strict=True)
-            return torch.cat([roll(x, stroke) for x, stroke in chunks])[order.argsort()]
-
-        return predict
-
-    return make
+    return predict
 
 
 def _springs_alone(network: sms.SMS, rest: torch.Tensor) -> Predict:
@@ -191,11 +188,9 @@ def _rigid_body(params: RigidParams, picks: bool) -> RigidBody:
     return RigidBody(params)
 
 
-def _windows(history: int) -> Callable[[Sequences, Any, str], Windows]:
-    def examples(data: Sequences, params: Any, device: str) -> Windows:
-        return Windows(finer(data, params.step), history, params.rollout, device, noise=params.noise, turn=params.turn)
-
-    return examples
+def _windows(data: Sequences, params: StepParams, device: str) -> Windows:
+    fine, before = finer(data, params.step), params.frames - 1
+    return Windows(fine, before, params.rollout, device, noise=params.noise, turn=params.turn)
 
 
 _SPRINGS = Learner(
@@ -218,8 +213,8 @@ MODELS: dict[str, Model] = {
     "gnn-aug": Model(Learner(_gnn, _pairs(mirror=True, turn=True), _in_torch)),
     "sms-no": Model(),
     "sms-o": Model(_SPRINGS),
-    "pgnd": Model(Learner(_pgnd, _windows(pgnd.HISTORY + 1), _frame_by_frame(pgnd.HISTORY + 1))),
-    "gbnd": Model(Learner(_gbnd, _windows(gbnd.HISTORY), _frame_by_frame(gbnd.HISTORY))),
+    "pgnd": Model(Learner(_pgnd, _windows, _frame_by_frame)),
+    "gbnd": Model(Learner(_gbnd, _windows, _frame_by_frame)),
     "rigid": Model(Learner(_rigid_body, None, _pushed)),
     "static": Model(),
 }

@@ -184,32 +184,50 @@ class StepParams(LearningParams):
     noise: float = Field(0.002, ge=0, description="noise on the particles in training [m]")
     turn: bool = Field(True, description="turn every training example about the vertical by a random angle")
 
+    @property
+    def frames(self) -> int:
+        """The frames that the network sees, now among them."""
+        raise NotImplementedError
+
 
 class PGNDParams(StepParams):
     """Settings of Particle-Grid Neural Dynamics."""
 
+    @property
+    def frames(self) -> int:
+        """The frames that its network sees, now among them: each place with the velocity that led there."""
+        return self.history + 2
+
     learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
     clip: float = Field(0.1, gt=0, description="largest gradient norm")
-    steps: int = Field(2000, ge=1, description="training steps of the first cycle")
-    rollout: int = Field(5, ge=1, description="frames predicted in a row in training")
+    steps: int = Field(1500, ge=1, description="training steps of the first cycle")
+    rollout: int = Field(10, ge=1, description="frames predicted in a row in training")
     noise: float = Field(0.0, ge=0, description="noise on the particles in training [m]")
+    history: int = Field(2, ge=0, description="past places and velocities that the network sees")
     cell: float = Field(0.02, gt=0, description="edge of a grid cell [m]")
-    reach: float = Field(0.2, gt=0, description="particles within this of a node give its feature [m]")
+    reach: float = Field(0.1, gt=0, description="particles within this of a node give its feature [m]")
     gripper: float = Field(0.04, gt=0, description="nodes within this of a hand that holds take its velocity [m]")
     pusher: float = Field(0.01, gt=0, description="radius of the ring of points that stands for a pusher [m]")
 
 
 class GBNDParams(StepParams):
-    """Settings of graph-based neural dynamics with a tool node."""
+    """Settings of graph-based neural dynamics with nodes on the tool."""
+
+    @property
+    def frames(self) -> int:
+        """The frames that its network sees, now among them."""
+        return self.history + 1
 
     learning_rate: float = Field(1e-3, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
     steps: int = Field(1500, ge=1, description="training steps of the first cycle")
+    history: int = Field(0, ge=0, description="past motions that the network sees")
     hidden: int = Field(150, ge=1, description="width of the network")
     neighbors: int = Field(5, ge=1, description="neighbours of a particle in the graph")
     radius: float = Field(0.075, gt=0, description="particles further apart than this are no neighbours [m]")
     edge_weight: float = Field(0.05, ge=0, description="weight of the loss on edge lengths")
+    pusher: float = Field(0.01, gt=0, description="radius of the ring of points that stands for a pusher [m]")
 
 
 class RigidParams(FittedParams):

@@ -19,7 +19,6 @@ from piegraph_cli.params import PICK
 
 FRAME = 0.1
 """Seconds between frames, whatever the hand's pace was: pushes are quasi-static."""
-HISTORY = 2
 OCTAVES = 5
 NODES = 50
 """Grid nodes along each axis."""
@@ -99,11 +98,11 @@ class PGND(nn.Module):
         super().__init__()
         self.params = params
         self.align = _Align()
-        self.encode = _mlp(6 * (HISTORY + 1), 64, 128, 64)
+        self.encode = _mlp(6 * (params.history + 1), 64, 128, 64)
         self.decode = nn.Sequential(_mlp(3 + 6 * OCTAVES + 64, 64, 64, 32), nn.ReLU(), small_linear(32, 3))
 
     def features(self, past: Tensor, centre: Tensor) -> Tensor:
-        """Features [B, N, 64] of particles from their frames [B, HISTORY + 2, N, 3] (m, newest last), the object at `centre`.
+        """Features [B, N, 64] of particles from their frames [B, frames, N, 3] (m, newest last), the object at `centre`.
 
         In decimetres inside, which replaces normalised layers: learning from metres takes several times as many steps.
         """
@@ -115,13 +114,13 @@ class PGND(nn.Module):
         return self.encode(torch.cat(rows, -1) * DECIMETRE)
 
     def pusher(self, hand: Tensor, motion: Tensor) -> Tensor:
-        """Frames [B, HISTORY + 2, P, 3] (m, newest last) of the points on a pusher that is at `hand` [B, 2] (m) now.
+        """Frames [B, frames, P, 3] (m, newest last) of the points on a pusher that is at `hand` [B, 2] (m) now.
 
         It goes straight on, by `motion` [B, 2] (m) from frame to frame: its velocity is that of the step to come.
         """
         angles = torch.arange(RING, device=hand.device) * (2 * math.pi / RING)
         ring = self.params.pusher * torch.stack([angles.cos(), angles.sin()], -1).to(hand)
-        back = torch.arange(HISTORY + 1, -1, -1, device=hand.device).to(hand)
+        back = torch.arange(self.params.frames - 1, -1, -1, device=hand.device).to(hand)
         axis = hand[:, None] - back[None, :, None] * motion[:, None]
         plane = (axis[:, :, None] + ring).repeat(1, 1, len(HEIGHTS), 1)
         heights = hand.new_tensor(HEIGHTS).repeat_interleave(RING).expand(*plane.shape[:-1])

@@ -47,6 +47,7 @@ class ExperimentParams(Params):
     training: int = Field(100, ge=1, description="simulated sequences that training ones are chosen from")
     validation: int = Field(10, ge=0, description="sequences that the best weights are chosen on")
     test: int = Field(100, ge=1, description="held-out sequences")
+    simulation: int = Field(0, ge=0, description="seed of the simulation; runs of another than 0 lie apart")
     strokes: int = Field(4, ge=1, description="strokes per sequence")
     horizons: Counts = Field((1, 2, 4), description="strokes predicted in a row")
     recordings: bool = Field(
@@ -63,7 +64,14 @@ class ExperimentParams(Params):
         most = max(n for counts in self.interactions.values() for n in counts)
         if most > self.training:
             raise ValueError(f"{most} interactions cannot be chosen of {self.training} training sequences")
+        if self.simulation and (self.trials or self.recordings):
+            raise ValueError("trials and recordings are of simulation 0")
         return self
+
+    def run_name(self, environment: str) -> str:
+        """The folder of an environment's run, which experiments of the same sequences share."""
+        apart = "-recorded" if self.recordings else f"-seed{self.simulation}" if self.simulation else ""
+        return environment + apart
 
     def labels(self, environment: str) -> list[str]:
         """The models to compare in an environment, each with its number of training sequences."""

@@ -80,7 +80,8 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
         recipe = recipe.with_values(STAGES[stage], values, "experiment", Path.cwd())
 
     if recording is None and not measured:
-        put("simulate", sequences=params.training + params.validation + params.test, strokes=params.strokes)
+        count = params.training + params.validation + params.test
+        put("simulate", sequences=count, strokes=params.strokes, seed=params.simulation)
     else:
         simulate = recipe.sections["simulate"]
         recipe = replace(recipe, sections={k: v for k, v in recipe.sections.items() if k != "simulate"})

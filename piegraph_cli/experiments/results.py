@@ -35,8 +35,7 @@ def read_results(name: str, params: ExperimentParams, folder: Path) -> Results:
     shown: dict[str, dict[str, Artifact]] = {}
     for environment in params.interactions:
         recording = recording_of(params, environment, folder)
-        own = folder / (f"{environment}-recorded" if params.recordings else environment)
-        run = open_run(own, recipe_of(params, environment, recording))
+        run = open_run(folder / params.run_name(environment), recipe_of(params, environment, recording))
         metrics[environment] = read_metrics(run)[0]
         models[environment] = _read_models(run)
         if params.trials:

@@ -27,11 +27,10 @@ def run_experiment(name: str, params: ExperimentParams, folder: Path, options: O
     failed: list[PiegraphError] = []
     last = "train" if params.table == "search" else "evaluate"
     for environment in params.interactions:
-        own, recording = folder / environment, recording_of(params, environment, folder)
+        own, recording = folder / params.run_name(environment), recording_of(params, environment, folder)
         if environment == MEASURED:
             write_strokes(params.data, folder / "recordings" / environment)
         elif recording:
-            own = folder / f"{environment}-recorded"
             _render(recording, params, environment, options.jobs)
         recipe = recipe_of(params, environment, recording)
         log.info("%s: %s", name, own)

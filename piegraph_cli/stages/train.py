@@ -162,7 +162,6 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output:
     """Train one model on the dataset's training sequences."""
-    import numpy as np
 
     from piegraph_cli.dynamics.models import MODELS, make_network
     from piegraph_cli.dynamics.params import LearningParams
@@ -188,21 +187,26 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     validation = learner.examples(held_out, settings, device) if len(held_out.strokes) else None
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     _fit(trainer, params, context)
-    steps, train, validation_loss = np.array(trainer.history).T
+    arrays, quality, warnings = _learned(trainer)
+    return Output(arrays | about, quality, warnings)
+
+
+def _learned(trainer: "Trainer") -> tuple[dict[str, Any], str, list[str]]:
+    """Weights and losses of a training, in a line as well; warned of where it did not learn."""
+    import numpy as np
+
+    steps, train, validation = np.array(trainer.history).T
     static = trainer.static_loss()
     arrays = {f"weights/{name}": value.cpu().numpy() for name, value in trainer.best.items()}
-    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation_loss, "static_loss": np.array(static)}
+    arrays |= {"step": steps, "train_loss": train, "validation_loss": validation, "static_loss": np.array(static)}
     quality = f"loss {train[-1]:.4f} after {counted(trainer.done, 'step')} on {len(trainer.examples)} examples"
-    if validation is not None:
+    if trainer.validation is not None:
         quality += f", {trainer.best_loss:.4f} on validation"
     quality += f" (nothing moves: {static:.4f})"
-    warnings = []
-    if not (train[-1] if validation is None else trainer.best_loss) < static:
-        warnings.append(
-            f"did not learn: the loss is not below {static:.4f}, that of nothing moving; "
-            f"try more steps (--steps), another learning rate, or more recordings"
-        )
-    return Output(arrays | about, quality, warnings)
+    if (train[-1] if trainer.validation is None else trainer.best_loss) < static:
+        return arrays, quality, []
+    why = f"did not learn: the loss is not below {static:.4f}, that of nothing moving"
+    return arrays, quality, [f"{why}; try more steps (--steps), another learning rate, or more recordings"]
 
 
 def _about(data: "Sequences") -> dict[str, Any]:

@@ -5,7 +5,7 @@ import datetime
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from piegraph_cli.files import atomic_file
 from piegraph_cli.workspace.probe import probe
 from piegraph_cli.workspace.schema import LONG_TEXT, SCHEMA_VERSION, SCHEMAS, TEXT, Field, field_of
 from piegraph_cli.workspace.sealed import check_seal, sealed
+from piegraph_cli.workspace.spent import machine
 from piegraph_cli.workspace.structure import Found, attribute, datasets_in, opened
 from piegraph_cli.workspace.values import check_arrays, check_shapes, check_values, groups_of
 
@@ -40,6 +41,8 @@ class Artifact:
     arrays: "dict[str, np.ndarray]"
     checked: bool = True
     """Whether it has a checksum."""
+    made: dict[str, Any] = field(default_factory=dict)
+    """`created`, `software`, `machine`, and milliseconds that it took (`wall_ms`, `cpu_ms`), as far as the file says."""
 
     def __getitem__(self, dataset: str) -> "np.ndarray":
         return self.arrays[dataset]
@@ -71,6 +74,7 @@ def write_artifact(
     params: Mapping[str, Any],
     inputs: Mapping[str, Any],
     quality: str = "",
+    spent: Mapping[str, int] | None = None,
 ) -> None:
     """Write an artifact so that `path` is at every moment absent, the old file, or the whole new one.
 
@@ -89,6 +93,8 @@ def write_artifact(
         "quality": quality,
         "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "software": f"piegraph {__version__}",
+        "machine": machine(),
+        **(spent or {}),
     }
     image = _image(path, name, attributes, arrays)
     with atomic_file(path) as temporary, temporary.open("wb") as file:
@@ -167,11 +173,12 @@ def read_artifact(
     with _open(path, name, checked) as (file, attributes):
         name, remake = attributes["artifact"], _remake(path, attributes)
         found, lengths = _structure(file, path, name, remake)
+        made = _made(file)
         wanted = [dataset for dataset in found if only is None or dataset in only]
         arrays = {dataset: found[dataset].values(f"{path}, dataset {dataset}", remake) for dataset in wanted}
     check_values(str(path), name, arrays, found, lengths, remake)
     params, inputs = json.loads(attributes["params"]), json.loads(attributes["inputs"])
-    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays, checked)
+    return Artifact(path, name, attributes["key"], params, inputs, attributes["quality"], arrays, checked, made)
 
 
 def _structure(file: "h5py.File", path: Path, name: str, hint: str) -> "tuple[dict[str, Found], dict[str, int]]":
@@ -277,6 +284,19 @@ def _attributes(file: "h5py.File", path: Path, name: str | None, checked: bool) 
     for text in ("params", "inputs"):
         _check_json(attributes[text], path, attributes)
     return attributes
+
+
+def _made(file: "h5py.File") -> dict[str, Any]:
+    """When, by what, where and in what time a file was made, as far as it says so: older ones say less."""
+    found: dict[str, Any] = {}
+    for name in ("created", "software", "machine"):
+        if isinstance(value := attribute(file, name), str):
+            found[name] = value
+    for name in ("wall_ms", "cpu_ms"):
+        value = attribute(file, name)
+        if value is not None and not isinstance(value, str) and value >= 0:
+            found[name] = int(value)
+    return found
 
 
 def _check_json(text: str, path: Path, attributes: Mapping[str, str]) -> None:

@@ -5,7 +5,7 @@ import logging
 import time
 import traceback
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +17,7 @@ from piegraph_cli.workspace.parallel import each
 from piegraph_cli.workspace.progress import Tell, silent, watching
 from piegraph_cli.workspace.run import Run
 from piegraph_cli.workspace.said import keep_warnings
+from piegraph_cli.workspace.spent import Clock
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -36,13 +37,16 @@ class Checkpoint:
     path: Path
     stage: Stage
     key: str
+    clock: Clock = field(default_factory=Clock)
+    """Goes on with the state: what the tries before took counts."""
 
     def load(self) -> "dict[str, np.ndarray] | None":
         """The saved state, or None."""
         if read_key(self.path, "checkpoint") != self.key:
             return None
-        arrays = read_artifact(self.path, "checkpoint").arrays
-        return {name.removeprefix("state/"): value for name, value in arrays.items()}
+        saved = read_artifact(self.path, "checkpoint")
+        self.clock.add(saved.made.get("wall_ms", 0), saved.made.get("cpu_ms", 0))
+        return {name.removeprefix("state/"): value for name, value in saved.arrays.items()}
 
     def save(self, state: "Mapping[str, np.ndarray]") -> None:
         """Replace the saved state."""
@@ -58,6 +62,7 @@ class Checkpoint:
             key=self.key,
             params={},
             inputs={},
+            spent=self.clock.spent(),
         )
 
 
@@ -190,6 +195,7 @@ def _make(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell) -> O
         params=params.content(),
         inputs={f"{name}/{u}" if u else name: run.key(run.maker(name), u) for name, u in run.files(stage, unit)},
         quality=output.quality,
+        spent=checkpoint.clock.spent(),
     )
     checkpoint.path.unlink(missing_ok=True)
     return output

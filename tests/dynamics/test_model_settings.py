@@ -51,6 +51,7 @@ OTHERS = {
     "gravity": 1e-4,
     "reach": 0.03,
     "rollout": 3,
+    "history": 1,
     "noise": 0.01,
     "cell": 0.03,
     "gripper": 0.1,
@@ -273,7 +274,7 @@ def test_a_label_finds_the_settings_of_its_model_and_variant():
     assert params.of("piegraph:wide@20") == EGNNParams(hidden=64, steps=30, clip=0.5)
     assert params.of("gnn-aug").layers == 7
     assert params.of("gnn").layers != 7
-    assert (params.of("pgnd:far").rollout, params.of("pgnd").rollout) == (9, 5)
+    assert (params.of("pgnd:far").rollout, params.of("pgnd").rollout) == (9, 10)
     with pytest.raises(UsageError, match="no variant gnn:wide"):
         params.of("gnn:wide")
     with pytest.raises(UsageError, match="hide"):

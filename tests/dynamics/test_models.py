@@ -61,15 +61,16 @@ def sequences(picks: bool = False, seed: int = 0, particles: int = 24) -> Sequen
     )
 
 
-def untrained(name: str, data: Sequences, seed: int = 0) -> Trained:
-    network = make_network(name, settings(name), data.picks, seed)
+def untrained(name: str, data: Sequences, seed: int = 0, **changes) -> Trained:
+    params = settings(name).model_copy(update=changes)
+    network = make_network(name, params, data.picks, seed)
     if isinstance(network, RigidBody):
         network.fit(data)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.02 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(3)))
     modes = tuple(np.unique(data.mode).tolist())
-    return Trained(network.eval().requires_grad_(False), settings(name), data.pace, modes, data.positions.shape[1])
+    return Trained(network.eval().requires_grad_(False), params, data.pace, modes, data.positions.shape[1])
 
 
 def predictor(name: str, data: Sequences):
@@ -147,6 +148,7 @@ def test_every_trained_model_learns_and_goes_on_from_its_state(name):
     steps = 40 if slow else 200
     rate = {"steps": steps, "batch": 3, "learning_rate": 0.3 if slow else 5e-3}
     rate |= {"turn": False, "noise": 0.0} if name in ("pgnd", "gbnd") else {}
+    rate |= {"history": 3} if name == "gbnd" else {}  # what is carried along out of its reach shows in the past alone
     params = settings(name).model_copy(update=rate)
     learner = MODELS[name].learner
     assert learner is not None
@@ -255,7 +257,7 @@ def test_a_pusher_is_points_of_its_own_and_a_pick_has_none():
     past = torch.rand(1, 4, 12, 3, generator=torch.Generator().manual_seed(0)) * 0.05
     here, there = torch.tensor([[0.08, 0.02]]), torch.tensor([[0.09, 0.02]])
     frames = network.pusher(here, there - here)
-    assert frames.shape == (1, pgnd.HISTORY + 2, pgnd.RING * len(pgnd.HEIGHTS), 3)
+    assert frames.shape == (1, network.params.frames, pgnd.RING * len(pgnd.HEIGHTS), 3)
     torch.testing.assert_close(frames[0, -1, :, :2].mean(0), here[0])
     torch.testing.assert_close(frames[0, 1:, :, 0] - frames[0, :-1, :, 0], torch.full_like(frames[0, 1:, :, 0], 0.01))
     steps = {
@@ -290,7 +292,7 @@ def test_the_size_of_pgnd_is_the_papers():
 
 
 def test_a_tool_out_of_reach_moves_nothing_differently():
-    network = untrained("gbnd", sequences()).network
+    network = untrained("gbnd", sequences(), history=3).network
     past = torch.rand(1, 4, 12, 3, generator=torch.Generator().manual_seed(0)) * 0.05
     far = torch.tensor([[0.5, 0.5]])
     push = torch.tensor([PUSH])
@@ -298,7 +300,22 @@ def test_a_tool_out_of_reach_moves_nothing_differently():
     torch.testing.assert_close(still, moving)
     near = past[:, -1].mean(1)[:, :2]
     assert not torch.allclose(network.step(past, near, near, push), network.step(past, near, near + 0.03, push))
-    assert past.shape[1] == gbnd.HISTORY + 1
+    assert past.shape[1] == network.params.frames
+
+
+def test_the_nodes_on_a_tool_lie_around_a_pusher_and_in_one_place_where_it_holds():
+    network = untrained("gbnd", sequences()).network
+    hand = torch.tensor([[0.1, 0.2], [0.3, -0.1]])
+    nodes = network.tool(hand, torch.tensor([PUSH, PICK]))
+    apart = (nodes[..., :2] - hand[:, None]).norm(dim=-1)
+    torch.testing.assert_close(apart, torch.tensor([[0.01] * gbnd.RING, [0.0] * gbnd.RING]))
+    assert (nodes[0].unique(dim=0).shape, nodes[..., 2].unique().item()) == ((gbnd.RING, 3), pytest.approx(0.01))
+    particles = torch.tensor([[[0.1, 0.2 + 0.07, 0.0], [0.1, 0.2 + 0.09, 0.0], [0.1, 0.2 + 0.5, 0.0]]]).expand(
+        2, -1, -1
+    )
+    neighbors, near = network.graph(particles, nodes)
+    assert neighbors[0, 0, 2:].tolist() == [3, 4, 5, 6]
+    assert near[0, :, 2:].sum(-1).tolist() == [3, 0, 0], "the far side of the ring is out of reach"
 
 
 @pytest.mark.parametrize("picks", [False, True])

@@ -97,10 +97,9 @@ def alone(name: str, rest: torch.Tensor = REST, picks: bool = False, now: torch.
 
 def step_by_step(network, x: torch.Tensor, stroke: Any) -> torch.Tensor:
     """One scene, frame by frame, the hand at the pace of data or settings, and no step after its last, shorter one."""
-    frames = pgnd.HISTORY + 2 if isinstance(network, pgnd.PGND) else gbnd.HISTORY + 1
     start, end = of_strokes.start(stroke), of_strokes.end(stroke)
     length, pace = float((end - start).norm()), min(PACE, network.params.step)
-    past = [x] * frames
+    past = [x] * network.params.frames
     for k in range(math.ceil(length / pace - 1e-3)):
         here, there = (start + (end - start) * min(1.0, step * pace / length) for step in (k, k + 1))
         past = [*past[1:], network.step(torch.stack(past, 1), here[None], there[None], stroke.mode[None])]
@@ -267,14 +266,18 @@ def test_pairs_are_varied_by_what_their_network_is_not_equivariant_to(name, mirr
         assert len(pairs) == 3
 
 
-@pytest.mark.parametrize(("name", "history"), [("pgnd", pgnd.HISTORY + 1), ("gbnd", gbnd.HISTORY)])
-def test_windows_are_as_long_as_their_network_looks_back_and_ahead(name, history):
+@pytest.mark.parametrize(
+    ("name", "history", "frames"), [("pgnd", 2, 4), ("pgnd", 0, 2), ("gbnd", 0, 1), ("gbnd", 3, 4)]
+)
+def test_windows_are_as_long_as_their_network_looks_back_and_ahead(name, history, frames):
     learner = MODELS[name].learner
     assert learner is not None
     assert learner.examples is not None
-    windows = learner.examples(one_sequence(), settings_of(name, rollout=2, noise=0.3, turn=False), "cpu")
+    windows = learner.examples(
+        one_sequence(), settings_of(name, history=history, rollout=2, noise=0.3, turn=False), "cpu"
+    )
     assert isinstance(windows, Windows)
-    assert windows.past.shape == (4, history + 1)
+    assert windows.past.shape == (4, frames)
     assert windows.after.shape == (4, 3)
     assert (windows.noise, windows.turn) == (0.3, False)
     assert learner.examples(one_sequence(), settings_of(name, turn=True), "cpu").turn

@@ -1,5 +1,6 @@
 """Artifacts: round trip, atomic write, and what a reader refuses."""
 
+import re
 from unittest import mock
 
 import h5py
@@ -20,6 +21,7 @@ from piegraph_cli.workspace.artifact import (
 )
 from piegraph_cli.workspace.schema import SCHEMA_VERSION
 from piegraph_cli.workspace.sealed import BLOCK
+from piegraph_cli.workspace.spent import machine
 from tests.hdf5 import edited, reseal, unsealed
 
 
@@ -430,3 +432,15 @@ def test_indices_stay_within_what_they_name(tmp_path):
     for name, value in (("strokes", [[0, 5]]), ("pairs", [[0, 2], [-1, 4]]), ("pair_stroke", [0, 1])):
         with pytest.raises(DataError, match=f"dataset {name}: .* expected 0 to"):
             write_artifact(path, "dataset", data | {name: np.array(value)}, **rest)
+
+
+def test_an_artifact_says_where_it_was_made_and_what_it_took(tmp_path):
+    path = tmp_path / "model.h5"
+    rest = {"stage": "train", "stage_version": 1, "key": "k", "params": {}, "inputs": {}}
+    write_artifact(path, "checkpoint", {"state/a": np.zeros(2)}, **rest, spent={"wall_ms": 1500, "cpu_ms": 900})
+    made = read_artifact(path, "checkpoint").made
+    assert (made["wall_ms"], made["cpu_ms"], made["machine"]) == (1500, 900, machine())
+    assert re.fullmatch(r".+, \d+ cores?", made["machine"])
+    assert made["software"].startswith("piegraph ")
+    write_artifact(path, "checkpoint", {"state/a": np.zeros(2)}, **rest)
+    assert "wall_ms" not in read_artifact(path, "checkpoint").made

@@ -280,6 +280,13 @@ def test_a_long_stage_goes_on_from_its_checkpoint(folder):
     checkpoint = Checkpoint(kept, PILE, str(key))
     state = checkpoint.load()
     assert state is not None
+    checkpoint.clock.add(7000, 5000)
+    checkpoint.save(state)
+    assert 7000 <= read_artifact(kept, "checkpoint").made["wall_ms"] < 9000
+    assert Checkpoint(kept, PILE, str(key)).clock.spent()["cpu_ms"] < 3000
+    again = Checkpoint(kept, PILE, str(key))
+    again.load()
+    assert again.clock.spent()["cpu_ms"] >= 5000, "what the first try took counts"
     assert {name: float(value) for name, value in state.items()} == {"done": 2, "total": 48}
     assert Checkpoint(kept, PILE, "other").load() is None
     assert Checkpoint(kept.with_name("none.h5"), PILE, str(key)).load() is None

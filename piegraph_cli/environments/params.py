@@ -90,6 +90,10 @@ class ToyOptions(Params):
     friction: float = Field(0.6, ge=0, description="Coulomb coefficient with table and pusher")
 
 
+VARIABLES = {"python": "PIEGRAPH_DAXBENCH_PYTHON", "repo": "PIEGRAPH_DAXBENCH_REPO"}
+"""Of the shell, that name what runs DaXBench where its options are not given."""
+
+
 class DaXBenchOptions(Params):
     """An environment of DaXBench, run by an interpreter of its own (docs/daxbench.md)."""
 
@@ -104,8 +108,12 @@ class EnvironmentParams(Params):
     options: EnvironmentSettings = Field(
         {}, description="options of the environment: NAME=VALUE,... (docs/environments.md)"
     )
-    daxbench_python: Path | None = Field(None, description="interpreter for daxbench-* (docs/daxbench.md)")
-    daxbench_repo: Path | None = Field(None, description="DaXBench repository for daxbench-*")
+    daxbench_python: Path | None = Field(
+        None, description=f"interpreter for daxbench-* [default: ${VARIABLES['python']}]"
+    )
+    daxbench_repo: Path | None = Field(
+        None, description=f"DaXBench repository for daxbench-* [default: ${VARIABLES['repo']}]"
+    )
 
     def content(self) -> dict[str, Any]:
         """As for all settings, without what runs DaXBench and how long it is waited for."""

@@ -81,6 +81,11 @@ class ExperimentParams(Params):
             model for model in models if not trained_label(model)
         ]
 
+    def tasks(self, environment: str) -> tuple[str, ...]:
+        """The rows of an environment's trials: itself, where it has no others."""
+        assert self.trials is not None
+        return self.trials.tasks.get(environment, (environment,))  # type: ignore[call-overload]
+
     def trial_labels(self, environment: str) -> list[str]:
         """The models that plan in an environment."""
         assert self.trials is not None

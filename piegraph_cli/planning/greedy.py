@@ -22,4 +22,4 @@ def put_worst_right(positions: torch.Tensor, goal: torch.Tensor, cost: Cost, spa
     predicted[worst, :2] = goal[worst, :2]
     costs = cost(predicted[None])
     candidates = Candidates(Strokes.stack([Strokes.stack([strokes])]), costs[None], torch.ones(1, 1))
-    return Plan(strokes, predicted[None], float(costs[0]), candidates)
+    return Plan(strokes, predicted[None], float(costs[0]), candidates, torch.full((1,), torch.nan))

@@ -51,7 +51,17 @@ class PlanParams(PredictionParams, EnvironmentParams):
     query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose", "goal_at")
     """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
 
-    later: ClassVar[tuple[str, ...]] = ("goal_at", "keep_out", "approach_height", "retreat", "speed", "fixed_goals")
+    later: ClassVar[tuple[str, ...]] = (
+        "goal_at",
+        "keep_out",
+        "approach_height",
+        "retreat",
+        "speed",
+        "look_every",
+        "caution",
+        "stop",
+        "fixed_goals",
+    )
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
@@ -83,6 +93,21 @@ class PlanParams(PredictionParams, EnvironmentParams):
     elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites of CEM")
     temperature: float = Field(0.005, ge=1e-6, description="cost that MPPI finds much [m]")
     noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")
+    look_every: int = Field(
+        1, ge=1, description="strokes of a plan that are carried out in --env before it looks again"
+    )
+    remember: bool = Field(
+        True,
+        description="a stroke of the episode that did not do as predicted counts by its error, and what is like it",
+    )
+    caution: float = Field(
+        0.0,
+        ge=0,
+        description="weight of the error to expect of a prediction in its cost, for what was evaluated (0: none)",
+    )
+    stop: bool = Field(
+        False, description="end an episode in --env when no stroke is expected to help by more than its expected error"
+    )
     strokes: int = Field(13, ge=1, description="most strokes in one episode")
     state_noise: float = Field(
         0.0, ge=0, description="noise on the particles that the planner sees in --env, to test it [m]"
@@ -112,6 +137,8 @@ class PlanParams(PredictionParams, EnvironmentParams):
     def _check_lengths(self) -> "PlanParams":
         if self.min_length >= self.max_length:
             raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
+        if self.look_every > self.horizon:
+            raise ValueError(f"look_every {self.look_every} is more than horizon {self.horizon}: so many are planned")
         return self
 
     def goal_place(self) -> Place:
@@ -179,9 +206,12 @@ class TrialsParams(EnvironmentParams):
 class TrialParams(Params):
     """Everything one trial depends on."""
 
+    later = ("metrics",)
+
     goal: int = Field(ge=0, description="number of the goal")
     seed: int = Field(ge=0, description="number of the start")
     network: Path | None = Field(description="model artifact of the trained run; None where nothing is trained")
+    metrics: Path | None = Field(None, description="metrics artifact of the same, where expected errors count")
     plan: PlanParams = Field(description="planning settings in force, with environment, model, strokes and success")
 
     def content(self) -> dict[str, Any]:
@@ -193,5 +223,6 @@ class TrialParams(Params):
         return {}
 
     def artifacts(self) -> dict[str, tuple[Path, str]]:
-        """The network."""
-        return {"network": (self.network, "model")} if self.network else {}
+        """The network, and its metrics."""
+        named = {"network": (self.network, "model"), "metrics": (self.metrics, "metrics")}
+        return {name: (path, what) for name, (path, what) in named.items() if path}

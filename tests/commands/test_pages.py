@@ -48,7 +48,7 @@ BOARDS = {
 ELSEWHERE = {
     r"view|serve": "serves until it is interrupted: tests/viewer, tests/service",
     r"record|look .*--live": "needs cameras: tests/capture",
-    r"simulate daxbench": "needs DaXBench: tests/environments/test_daxbench.py",
+    r"\w+ .*daxbench": "needs DaXBench: tests/environments/test_daxbench.py, tests/stages/test_steps.py",
     r"--install-completion": "changes the shell",
     r"reproduce": "hours; small ones: tests/test_experiments.py",
     r"doctor --fetch": "needs the network",

@@ -7,6 +7,7 @@ import pytest
 from torch.nn.functional import pad
 
 from piegraph_cli import environments
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.errors import DataError
 from piegraph_cli.planning import planner
 from piegraph_cli.planning.episode import APART, Episode, play
@@ -17,12 +18,16 @@ from tests.planning.block import Block
 SETTINGS = {"samples": 40, "cem_iterations": 3, "strokes": 4, "success": 0.03}
 
 
+def carried_almost(positions, strokes):
+    return positions + 0.9 * pad(strokes.along, (0, 1))[:, None]
+
+
 def episode(model: str, start: int = 0, goal: int = 0, environment: Block | None = None, **settings) -> Episode:
     return play(environment or Block(), None, PlanParams(model=model, **SETTINGS | settings), start=start, goal=goal)
 
 
 def test_a_model_that_knows_the_block_pushes_it_to_its_goal(monkeypatch):
-    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    monkeypatch.setattr(planner, "make_foresee", lambda *_: sure(carried_almost))
     found = episode("static")
     assert found.start_distance > 0.07
     assert found.end_distance < 0.03
@@ -110,3 +115,16 @@ def test_block_goals_in_place_lie_all_over_the_table_and_in_reach():
     assert (np.ptp(middles, axis=0) > 0.2).all()
     turns = np.ptp([np.arctan2(*(one.goal[1] - one.goal[0])[:2]) for one in found.values()])
     assert turns > np.pi, "goals are turned by more than 90 degrees from some start"
+
+
+@pytest.mark.parametrize(
+    ("walls", "inside"), [(None, False), ((-0.1, 0.5, -0.5, 0.5), True), ((-9, 9, -9, 0.1), False)]
+)
+def test_strokes_stay_inside_the_walls_of_an_environment(monkeypatch, walls, inside):
+    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    block = Block()
+    block.walls = walls
+    found = episode("static", environment=block, workspace=(-0.4, 0.4, -0.4, 0.4, -0.02, 0.35))
+    ends = np.array([[*step.plan.strokes[0].start, *step.plan.strokes[0].end] for step in found.steps])
+    assert (ends[:, [0, 2]].min() >= -0.1) == inside
+    assert np.abs(ends).max() <= 0.4

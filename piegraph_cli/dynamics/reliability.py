@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import nnls
 
 ENOUGH = 12
 """Strokes from which all numbers of a calibration are fitted; of fewer the error is a share of the motion."""
@@ -41,6 +40,8 @@ class Calibration:
         """From signs [n, 2] and errors [n] (m) of strokes that were not learned from: non-negative least squares."""
         parts = np.column_stack([np.ones(len(signs)), signs]).astype(float)
         parts *= np.array([1, 1, 1]) if len(signs) >= ENOUGH else np.array([0, 1, 0])
+        from scipy.optimize import nnls  # planning does without
+
         numbers = nnls(parts, np.asarray(errors, float))[0]
         expected = parts @ numbers
         known = expected > 0

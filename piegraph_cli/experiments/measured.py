@@ -73,7 +73,7 @@ def _outline_beside(folder: Path) -> Path:
 def _write(path: Path, **arrays: np.ndarray) -> None:
     """An .npz of arrays; one that holds the same stays as it is."""
     stream = io.BytesIO()
-    np.savez(stream, **arrays)
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
     if path.is_file() and path.read_bytes() == stream.getvalue():
         return
     with atomic_file(path) as temporary:

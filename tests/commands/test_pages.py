@@ -53,6 +53,7 @@ ELSEWHERE = {
     r"reproduce": "hours; small ones: tests/test_experiments.py",
     r"doctor --fetch": "needs the network",
     r"hands .*--source": "needs a recording with a stick or a glove: tests/stages/test_end_effectors.py",
+    r"train .*--outline": "needs an outline: tests/dynamics",
     r"bench": "measures for minutes: tests/bench",
 }
 """Commands that cannot be run here, and where their tests are."""

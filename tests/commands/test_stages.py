@@ -172,7 +172,15 @@ def test_one_shot_plan_for_a_robot(planner, tmp_path):
     there = piegraph_json("plan", "--run", planner, "--state", tmp_path / "now.npz", "--goal-pose", "0,0,0")
     assert there["strokes"] == []
     assert "already" in there["quality"]
-    assert set(plan["strokes"][0]) == {"episode", "mode", "start", "end", "predicted_distance", "path"}
+    assert set(plan["strokes"][0]) == {
+        "episode",
+        "mode",
+        "start",
+        "end",
+        "predicted_distance",
+        "expected_error",
+        "path",
+    }
     first, *_, last = plan["strokes"][0]["path"]
     assert first["point"] == pytest.approx([*plan["strokes"][0]["start"], 0.1])
     assert (first["time"], first["part"], last["part"], last["point"][2]) == (

@@ -15,6 +15,7 @@ from torch.nn.functional import pad
 
 from piegraph_cli import environments
 from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.environments import daxbench, daxbench_child
 from piegraph_cli.environments.params import VARIABLES
 from piegraph_cli.environments.recording import simulate_tracks
@@ -246,7 +247,8 @@ def test_the_shell_may_name_interpreter_and_repository(monkeypatch, nothing_name
 
 
 def test_plans_end_inside_the_walls_and_are_carried_out_whole(tshirt, monkeypatch):
-    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + pad(s.along, (0, 1))[:, None])
+    moved = sure(lambda x, s: x + pad(s.along, (0, 1))[:, None])
+    monkeypatch.setattr(planner, "make_foresee", lambda *_: moved)
     wall = 0.5 * tshirt._frame.scale - 0.01
     assert tshirt.walls == pytest.approx([-wall, wall, -wall, wall])
 

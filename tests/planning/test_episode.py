@@ -121,7 +121,8 @@ def test_block_goals_in_place_lie_all_over_the_table_and_in_reach():
     ("walls", "inside"), [(None, False), ((-0.1, 0.5, -0.5, 0.5), True), ((-9, 9, -9, 0.1), False)]
 )
 def test_strokes_stay_inside_the_walls_of_an_environment(monkeypatch, walls, inside):
-    monkeypatch.setattr(planner, "make_predict", lambda *_: lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    moved = sure(lambda x, s: x + 0.9 * pad(s.along, (0, 1))[:, None])
+    monkeypatch.setattr(planner, "make_foresee", lambda *_: moved)
     block = Block()
     block.walls = walls
     found = episode("static", environment=block, workspace=(-0.4, 0.4, -0.4, 0.4, -0.02, 0.35))

@@ -123,19 +123,24 @@ def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
     pace = min(trained.pace, settings.step)
 
     def roll(x: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+        """Of strokes of which none is longer than those before it: those that still move come first."""
         start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
-        past, hand, mode = x[:, None].expand(-1, settings.frames, -1, -1), start, strokes.mode
+        past, hand, x = x[:, None].expand(-1, settings.frames, -1, -1), start, x.clone()
         for k in range(1, math.ceil(float(length.max()) / pace) + 1):
+            moving = int((length > (k - 1 + SHORTEST) * pace).sum())
+            if moving == 0:
+                break
             after = start + along / length * torch.minimum(length, length.new_tensor(k * pace))
-            moves = (length > (k - 1 + SHORTEST) * pace)[..., None]
-            x = torch.where(moves, trained.network.step(past, hand, after, mode), x)  # type: ignore[operator]
-            past, hand = torch.cat([past[:, 1:], x[:, None]], 1), after
+            past, hand, after = past[:moving], hand[:moving], after[:moving]
+            x[:moving] = trained.network.step(past, hand, after, strokes.mode[:moving])  # type: ignore[operator]
+            past, hand = torch.cat([past[:, 1:], x[:moving, None]], 1), after
         return x
 
     @torch.inference_mode()
     def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
-        chunks = zip(positions.split(CHUNK), strokes.split(CHUNK), strict=True)
-        return torch.cat([roll(x, stroke) for x, stroke in chunks])
+        order = strokes.length.argsort(descending=True)
+        chunks = zip(positions[order].split(CHUNK), strokes[order].split(CHUNK), strict=True)
+        return torch.cat([roll(x, stroke) for x, stroke in chunks])[order.argsort()]
 
     return predict
 

@@ -16,6 +16,7 @@ def _spaced(value: object) -> object:
 EnvironmentName = Literal[
     "tblock", "rope-stiff", "rope-bendy", "tshirt", "cloth", "toy", "daxbench-rope", "daxbench-tshirt"
 ]
+TaskName = Literal[EnvironmentName, "tshirt:crumpled", "cloth:crumpled"]
 ENVIRONMENT_HELP: dict[str, str] = {
     "tblock": "a rigid T-shaped block, pushed (Pymunk)",
     "rope-stiff": "a rope that hardly bends, pushed (MuJoCo)",
@@ -29,8 +30,15 @@ ENVIRONMENT_HELP: dict[str, str] = {
 """What each environment is, in a line."""
 ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
 Numbers3 = Annotated[tuple[float, float, float], BeforeValidator(_spaced)]
+Tasks = Annotated[tuple[TaskName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(split_pairs)]
+
+
+def split_task(task: str) -> tuple[str, dict[str, str]]:
+    """The environment of a task, and the option that asks for its kind of goals: `tshirt:crumpled` has crumpled ones."""
+    environment, _, goals = task.partition(":")
+    return environment, {"goal": goals} if goals else {}
 
 
 class TBlockOptions(Params):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from piegraph_cli.dynamics.params import split_label, trained_label
+from piegraph_cli.environments.params import split_task
 from piegraph_cli.experiments.pieces import Piece
 from piegraph_cli.experiments.recipes import load_experiment
 from piegraph_cli.experiments.results import Results
@@ -27,7 +28,6 @@ def budget_rows(results: Results, kept: Sequence[Piece]) -> list[dict[str, Any]]
     `minutes` are the processor's for one training, `trial_minutes` for all trials of the model.
     """
     candidates, rows = searched(kept), []
-    played = {(p.environment, p.model): p for p in results.played}
     for table in (results.metrics, results.models):
         for env, of in table.items():
             for label, pieces in of.items():
@@ -35,7 +35,8 @@ def budget_rows(results: Results, kept: Sequence[Piece]) -> list[dict[str, Any]]
                 if trained_label(label) != label or not trainings:
                     continue  # what uses the weights of another has that one's budget
                 times = [t.made.cpu_s for t in trainings]
-                trial = played.get((env, label))
+                played = [p for p in results.played if (split_task(p.environment)[0], p.model) == (env, label)]
+                playing = _minutes([p.made.cpu_s for p in played])
                 rows.append(
                     {
                         "environment": env,
@@ -44,8 +45,8 @@ def budget_rows(results: Results, kept: Sequence[Piece]) -> list[dict[str, Any]]
                         "steps": _mean([t.steps for t in trainings]),
                         "parameters": trainings[0].parameters,
                         "minutes": _minutes(times),
-                        "candidates_per_plan": _per_plan(trial) if trial else None,
-                        "trial_minutes": _minutes([trial.made.cpu_s]) if trial else None,
+                        "candidates_per_plan": _per_plan(played[0]) if played else None,
+                        "trial_minutes": None if playing is None else playing * len(played),
                     }
                 )
     return rows
@@ -57,7 +58,7 @@ def _mean(values: Sequence[float]) -> float:
 
 def _minutes(seconds: Sequence[float | None]) -> float | None:
     known = [s for s in seconds if s is not None]
-    return _mean(known) / 60 if len(known) == len(seconds) else None
+    return _mean(known) / 60 if known and len(known) == len(seconds) else None
 
 
 def _per_plan(piece: Piece) -> int | None:

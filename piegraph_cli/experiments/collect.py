@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -122,13 +123,12 @@ def _means(arrays: dict[str, np.ndarray], metric: str, horizon: int, names: list
 
 
 def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: Path, command: str) -> Iterator[Piece]:
-    """The pieces of one environment's trials, a model each, where all of them were tried."""
-    place = f"{name}/{environment}"
-    grid = open_run(folder / place, trial_recipe(params, environment, folder))
+    """The pieces of one environment's trials, one for each of its tasks and each model, where all of them were tried."""
+    grid = open_run(folder / name / environment, trial_recipe(params, environment, folder))
     trained = open_run(folder / params.run_name(environment), recipe_of(params, environment, None))
     stage = STAGES["trials"]
-    for label in dict.fromkeys(params.trial_labels(environment)):
-        units = [str(unit) for unit in grid.units(stage) if split_name(str(unit))[1] == label]
+    for task, label in product(params.tasks(environment), dict.fromkeys(params.trial_labels(environment))):
+        units = [str(unit) for unit in grid.units(stage) if split_name(str(unit))[:2] == (task, label)]
         failures = {unit: why for unit in units if (why := grid.failure(stage, unit))}
         if not all(unit in failures or grid.fresh(stage, unit) for unit in units):
             continue
@@ -140,8 +140,8 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
         failed = "; ".join(f"{unit}: {why.splitlines()[0]}" for unit, why in failures.items())
         yield Piece(
             kind="trials",
-            place=place,
-            environment=environment,
+            place=f"{name}/{task}",
+            environment=task,
             model=label,
             seed=None,
             command=command,
@@ -187,19 +187,18 @@ def _made(artifacts: list[Artifact]) -> Made:
 
 
 def shown_trials(name: str, params: ExperimentParams, folder: Path) -> dict[str, dict[str, Artifact]]:
-    """By environment and model one trial to look at: that at the task in which the first model's end is the median one."""
+    """By task and model one trial to look at: from that start to that goal where the first model's end is the median one."""
     shown: dict[str, dict[str, Artifact]] = {}
     for environment in params.interactions if params.trials else ():
         grid = open_run(folder / name / environment, trial_recipe(params, environment, folder))
         trials = [t for p in trial_pieces(name, params, environment, folder, "") for t in p.trials]
-        shown[environment] = _one_of_each(trials, grid)
+        for task in dict.fromkeys(trial.environment for trial in trials):
+            shown[task] = _one_of_each([trial for trial in trials if trial.environment == task], grid)
     return shown
 
 
 def _one_of_each(trials: list[Trial], run: Run) -> dict[str, Artifact]:
-    """For every model its trial at the task in which the first model's final distance is the median one."""
-    if not trials:
-        return {}
+    """For every model its trial from that start to that goal where the first model's final distance is the median one."""
     first = sorted((t for t in trials if t.model == trials[0].model), key=lambda t: t.pd[-1])
     task = first[len(first) // 2]
     same = [t for t in trials if (t.goal, t.seed) == (task.goal, task.seed)]

@@ -158,12 +158,12 @@ def in_force(recipe: Recipe, label: str) -> dict[str, dict[str, Any]]:
 def trials_in_force(params: ExperimentParams, environment: str) -> dict[str, dict[str, Any]]:
     """The settings that the trials of all models of an environment share."""
     assert params.trials is not None
-    trials = params.trials.model_dump(mode="json", exclude={"models"})
+    trials = params.trials.model_dump(mode="json", exclude={"models", "tasks"})
     plan = _told(recipe_of(params, environment, None).params(STAGES["plan"])) | trials.pop("plan")
     return {"trials": trials, "plan": {name: value for name, value in plan.items() if name not in OF_GRID}}
 
 
-OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "seed"}
+OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "fixed_goals", "seed"}
 """Settings of `plan` that the grid of trials gives."""
 
 
@@ -183,8 +183,8 @@ def _repeats(label: str, labels: Sequence[str], train: TrainParams) -> bool:
 def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Recipe:
     """The grid of trials of an experiment in one environment."""
     assert params.trials is not None
-    values = params.trials.model_dump(mode="json") | {
-        "envs": [environment],
+    values = params.trials.model_dump(mode="json", exclude={"tasks"}) | {
+        "envs": params.tasks(environment),
         "models": params.trial_labels(environment),
         "trained": str(folder.resolve()),
     }

@@ -40,7 +40,7 @@ class Results:
     """By environment and trained model, the same, where nothing but the training counts."""
     trials: list[Trial]
     shown: dict[str, dict[str, Artifact]]
-    """By environment and model, one trial to look at."""
+    """By task and model, one trial to look at."""
     empty: list[Empty] = field(default_factory=list)
     played: list[Piece] = field(default_factory=list)
     """The pieces that `trials` are of."""
@@ -82,16 +82,22 @@ def put_together(
                 table[label] = [piece for piece in found.values() if piece]
         check_comparable([p for some in table.values() for p in some])
     for environment in params.interactions if params.trials else ():
-        own = [(label, of.get((f"{name}/{environment}", label, None))) for label in params.trial_labels(environment)]
-        now = trials_in_force(params, environment)
-        for label, piece in own:
-            if why := _reason({None: piece}, now if strict else {}):
-                results.empty.append(Empty(environment, label, *why, trials=True))
-            elif piece:
-                results.played.append(piece)
-        check_comparable([p for p in results.played if p.environment == environment])
-    results.trials.extend(trial for piece in results.played for trial in piece.trials)
+        now = trials_in_force(params, environment) if strict else {}
+        for task in params.tasks(environment):
+            rows = {label: of.get((f"{name}/{task}", label, None)) for label in params.trial_labels(environment)}
+            _put_trials(rows, task, now, results)
     return results
+
+
+def _put_trials(found: dict[str, Piece | None], task: str, now: dict[str, Any], results: Results) -> None:
+    """The trials of a task, by model."""
+    for label, piece in found.items():
+        if why := _reason({None: piece}, now):
+            results.empty.append(Empty(task, label, *why, trials=True))
+        elif piece:
+            results.played.append(piece)
+            results.trials.extend(piece.trials)
+    check_comparable([p for p in results.played if p.environment == task])
 
 
 def _slot(label: str, seed: int) -> tuple[str, int | None]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from piegraph_cli.environments.params import split_task
 from piegraph_cli.evaluation.statistics import verdict
 from piegraph_cli.evaluation.tables import Metrics, difference, interval, sequence_means, summarise
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
@@ -124,7 +125,8 @@ def plain_trials(params: ExperimentParams, trials: Sequence[Trial]) -> list[Tria
     ]
 
 
-def _plain(params: ExperimentParams, environment: str, label: str) -> str:
+def _plain(params: ExperimentParams, task: str, label: str) -> str:
+    environment = split_task(task)[0]
     return label.partition("@")[0] if len(params.interactions[environment]) == 1 else label  # type: ignore[index]
 
 

@@ -17,6 +17,12 @@ from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import Tool, check_inside, make_planner, metric
 from piegraph_cli.planning.search import Plan
 
+APART = 0.05
+"""Mean distance of particles between a start and a goal in place at least, metres: nearer, there is nothing to plan."""
+
+TRIES = 100
+"""Starts that are drawn until one is that far away."""
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -56,7 +62,7 @@ def play(
     environment: Any,
     trained: Trained | None,
     params: PlanParams,
-    choose_goal: Callable[[np.ndarray, Callable[[], np.ndarray]], Goal] | None = None,
+    choose_goal: Callable[[np.ndarray], Goal] | None = None,
     *,
     start: int,
     goal: int,
@@ -64,15 +70,11 @@ def play(
 ) -> Episode:
     """Plan in an environment (`environments.base.Environment`) from start number `start` to goal number `goal`.
 
-    Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones; a goal
-    is drawn relative to the start. `choose_goal(state, sample)` may give another goal than the environment's.
-    `trained` may be None where `params.model` is not trained. Strokes are searched on `device`.
+    Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones.
+    `choose_goal(state)` may give another goal than the environment's. `trained` may be None where `params.model` is not
+    trained. Strokes are searched on `device`.
     """
-    state, _ = environment.reset(seed=int(np.random.SeedSequence([params.seed, 0, start]).generate_state(1)[0]))
-    rng = np.random.default_rng([params.seed, 1, goal])
-    wanted = (
-        choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal.of_particles(environment.goal(rng))
-    )
+    state, wanted = _task(environment, params, choose_goal, start, goal)
     params = _within(params, environment.walls)
     tool, seed = tool_of(environment), [params.seed, 2, start, goal]
     cost, make_plan = make_planner(trained, state, wanted, params, tool, seed, device)
@@ -101,6 +103,36 @@ def _within(params: PlanParams, walls: tuple[float, float, float, float] | None)
     given = params.workspace
     bounds = [(min if k % 2 else max)(given[k], wall) for k, wall in enumerate(walls)]
     return params.model_copy(update={"workspace": (*bounds, *given[4:])})
+
+
+def _task(
+    environment: Any, params: PlanParams, choose_goal: Callable[[np.ndarray], Goal] | None, start: int, goal: int
+) -> tuple[np.ndarray, Goal]:
+    """Particles [N, 3] (m) of a start, at which the environment then is, and the goal.
+
+    A goal in place is one from a start of its own number; a start that coincides with it is drawn again.
+    """
+    rng = np.random.default_rng([params.seed, 1, goal])
+    if choose_goal or not params.fixed_goals:
+        state = _start(environment, params.seed, start)
+        return state, choose_goal(state) if choose_goal else Goal.of_particles(environment.goal(rng))
+    environment.reset(seed=_number(params.seed, 4, goal))
+    place = environment.goal(rng)
+    for again in range(TRIES):
+        state = _start(environment, params.seed, start, again)
+        if np.linalg.norm(state - place, axis=1).mean() > APART:
+            return state, Goal.of_particles(place)
+    hint = "a larger object, or options of the environment with goals that differ from its starts"
+    raise DataError(f"every start lies within {APART * 100:g} cm of goal {goal}", str(params.env), hint)
+
+
+def _start(environment: Any, seed: int, start: int, again: int = 0) -> np.ndarray:
+    """Reset to start number `start`, as it is drawn for the first time or again: particles [N, 3] (m)."""
+    return environment.reset(seed=_number(seed, 0, start, *[again] * (again > 0)))[0]
+
+
+def _number(*entropy: int) -> int:
+    return int(np.random.SeedSequence(entropy).generate_state(1)[0])
 
 
 def tool_of(environment: Any) -> Tool:

@@ -11,12 +11,15 @@ from piegraph_cli.environments.params import (
     ENVIRONMENT_NAMES,
     EnvironmentName,
     EnvironmentParams,
-    Environments,
     EnvironmentSettings,
+    Tasks,
 )
 from piegraph_cli.params import Box, Boxes, Modes, Params, Pose2, Table, Thresholds, split_commas
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
+
+
+FIXED_GOALS = "goals of --env stay in place whatever the start, as the paper's; else each lies so far from its start"
 
 
 class Place(NamedTuple):
@@ -57,6 +60,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
         "look_every",
         "caution",
         "stop",
+        "fixed_goals",
     )
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
@@ -110,6 +114,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     )
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
     episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
+    fixed_goals: bool = Field(False, description=FIXED_GOALS)
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
     max_length: float = Field(0.14, gt=0, description="longest push [m]")
     max_carry: float = Field(0.3, gt=0, description="furthest that a pick carries along x and along y [m]")
@@ -174,8 +179,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
 class TrialsParams(EnvironmentParams):
     """Settings of `trials`: the grid environments x models x goals x seeds of the paper's planning experiment."""
 
-    envs: Environments = Field(
-        ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description=f"simulated environments, of {ENVIRONMENT_NAMES}"
+    envs: Tasks = Field(
+        ("tblock", "rope-stiff", "rope-bendy", "tshirt"),
+        description=f"simulated environments, of {ENVIRONMENT_NAMES}; tshirt:crumpled, cloth:crumpled: with such goals",
     )
     models: TrialLabels = Field(
         ("piegraph", "piegraph-ng", "static"),
@@ -183,6 +189,7 @@ class TrialsParams(EnvironmentParams):
     )
     goals: int = Field(10, ge=1, description="goals per environment")
     seeds: int = Field(10, ge=1, description="starts per goal")
+    fixed_goals: bool = Field(False, description=FIXED_GOALS)
     strokes: int = Field(30, ge=1, description="most strokes in one trial")
     thresholds: Thresholds = Field(
         (0.02, 0.03, 0.05, 0.1), description="distances that count as success; the smallest one ends a trial [m]"

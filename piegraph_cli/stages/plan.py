@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from piegraph_cli.planning.episode import Episode
+    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.question import Answer
     from piegraph_cli.workspace.run import Run
@@ -108,7 +109,6 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
 def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["Episode"], list[str]]:
     """Closed loop in the environment `params.env`, and what is to be said of the tool."""
     from piegraph_cli.planning.episode import play, tool_of
-    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.planning.question import wanted
     from piegraph_cli.stages.points import read_points
@@ -117,12 +117,13 @@ def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["E
     cloud = read_points(*params.goal_place()) if params.goal is not None else None
     asked = cloud is not None or params.goal_pose is not None or params.goal_at is not None
 
-    def choose(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
-        return wanted(model.trained, params, state, state, cloud) if asked else Goal.of_particles(sample())
+    def choose(state: "np.ndarray") -> "Goal":
+        return wanted(model.trained, params, state, state, cloud)
 
     environment = open_environment(params, model)
     numbers = context.progress(range(params.episodes), "episodes")
-    episodes = [play(environment, model.trained, params, choose, start=i, goal=i, device=model.device) for i in numbers]
+    goals = choose if asked else None
+    episodes = [play(environment, model.trained, params, goals, start=i, goal=i, device=model.device) for i in numbers]
     return episodes, tool_warnings(params, tool_of(environment))
 
 

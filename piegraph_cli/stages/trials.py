@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments import check_options
+from piegraph_cli.environments.params import split_task
 from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 _QUESTION = {
     *("env", "state", "goal", "goal_pose", "goal_at", "table", "frame", "cameras"),
-    *("model", "strokes", "success", "episodes", "seed"),
+    *("model", "strokes", "success", "episodes", "fixed_goals", "seed"),
 }
 """Settings of `plan` that the grid gives."""
 
@@ -49,17 +50,19 @@ def _settings(run: "Run", unit: str) -> TrialParams:
     starts take turns with them. Raises `UsageError` for options that the environment does not have.
     """
     params: TrialsParams = run.params(STAGE.name)
-    env, model, goal, seed = split_name(unit)
+    task, model, goal, seed = split_name(unit)
+    env, goals = split_task(task)
     trained = run.beside((params.trained or run.folder.resolve().parent) / env)
     kept: PlanParams = trained.params("plan")
     settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}
-    settings["options"] = kept.options | _options_of(params, env)
+    settings["options"] = kept.options | _options_of(params, env) | goals
     check_options(env, settings["options"])
     for interpreter in ("daxbench_python", "daxbench_repo"):
         given = getattr(params, interpreter) or settings[interpreter]
         settings[interpreter] = given if env.startswith("daxbench-") else None
     settings |= {"env": env, "strokes": params.strokes, "success": min(params.thresholds)}
+    settings["fixed_goals"] = params.fixed_goals
     plan = validated(PlanParams, settings, "plan", "trials.plan", "piegraph plan --help")
     seeds = trained.params("train").seeds_of(model)
     name = train.model_name(model, seeds[seed % len(seeds)])
@@ -76,7 +79,7 @@ def _check(run: "Run", units: Sequence[Any], processes: int) -> list[str]:
 
 
 def split_name(name: str) -> tuple[str, str, int, int]:
-    """Environment, model, number of the goal and of the start of a trial, from its name."""
+    """Task (an environment, or ENVIRONMENT:GOALS), model, number of the goal and of the start of a trial, from its name."""
     env, model, goal, seed = name.split(".")
     return env, model, int(goal.removeprefix("goal")), int(seed.removeprefix("seed"))
 
@@ -101,7 +104,7 @@ STAGE = Stage(
     settings=_settings,
     check=_check,
     call=Call(
-        first=("envs", "models", "goals", "seeds", "strokes", "options"),
+        first=("envs", "models", "goals", "seeds", "fixed_goals", "strokes", "options"),
         describe="piegraph_cli.stages.trials:describe",
     ),
 )

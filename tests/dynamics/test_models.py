@@ -377,3 +377,21 @@ def test_a_pick_carries_what_it_holds():
     torch.testing.assert_close(moved, strokes.along.expand_as(moved), atol=1e-5, rtol=0)
     pushed = replace(strokes, mode=torch.zeros_like(strokes.mode))
     assert not sms.held_particles(start, pushed).any()
+
+
+@pytest.mark.parametrize("name", ["pgnd", "gbnd"])
+def test_strokes_of_all_lengths_are_predicted_as_each_alone(name, monkeypatch):
+    """Those that have ended are predicted no further, and what comes back is in the order that was asked."""
+    trained, steps = untrained(name, sequences()), []
+    rest, step = torch.as_tensor(sequences().rest[0]), trained.network.step
+    monkeypatch.setattr(trained.network, "step", lambda past, *rest: steps.append(len(past)) or step(past, *rest))
+    predict = make_predict(name, trained, rest, PredictionParams())
+    lengths = torch.tensor([0.03, 0.14, 0.02, 0.08, 0.08 + 1e-6])
+    start = rest[:, :2].mean(0).expand(5, -1) - torch.tensor([0.06, 0.0])
+    strokes = Strokes.of(start, start + torch.nn.functional.pad(lengths[:, None], (0, 1)), PUSH)
+    found = predict(rest.expand(5, -1, -1), strokes)
+    pace = min(trained.pace, trained.settings.step)
+    assert sum(steps) == sum(math.ceil(float(length) / pace - 0.01) for length in lengths)
+    alone = torch.cat([predict(rest[None], strokes[k : k + 1]) for k in range(5)])
+    torch.testing.assert_close(found, alone, atol=1e-6, rtol=0)
+    assert (found - rest).norm(dim=-1).mean(-1).min() > 1e-5

@@ -226,7 +226,6 @@ def test_the_trial_to_look_at_is_the_median_of_the_first_model(monkeypatch):
     trials = [trial("b", *task, end) for task, end in ends.items()] + [trial("a", *task, 0.0) for task in ends]
     names = {"b": "toy.b.goal00.seed00.h5", "a": "toy.a.goal00.seed00.h5"}
     assert of_collect._one_of_each(trials, run) == {m: (name, "trials") for m, name in names.items()}
-    assert of_collect._one_of_each([], run) == {}
 
 
 def test_a_report_is_a_table_an_object_and_pictures(done, monkeypatch):

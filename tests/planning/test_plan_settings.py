@@ -26,6 +26,7 @@ CHANGES = {
     "daxbench_python": ("python3", "environment"),
     "daxbench_repo": ("repo", "environment"),
     "seed": (1, "start"),
+    "fixed_goals": (True, "start"),
     "model": ("sms-no", "model"),
     "cost": ("chamfer", "costs"),
     "modes": (("pick",), "candidates"),

@@ -254,7 +254,7 @@ def test_plans_end_inside_the_walls_and_are_carried_out_whole(tshirt, monkeypatc
 
     far = Goal.of_particles(tshirt.particles() + np.float32([0.29, 0.0, 0]))
     params = PlanParams(model="static", samples=40, strokes=3, success=0.001)
-    ends = play(tshirt, None, params, lambda state, sample: far, start=0, goal=0).strokes.end.numpy()
+    ends = play(tshirt, None, params, lambda state: far, start=0, goal=0).strokes.end.numpy()
     assert 0.2 < np.abs(ends).max() <= wall + 1e-6
     for end in ends:  # the picker gets where it was sent
         info = tshirt.step({"start": tshirt.particles()[7, :2], "end": end, "mode": 1})[4]

@@ -29,6 +29,7 @@ from piegraph_cli.dynamics.params import (
 )
 from piegraph_cli.dynamics.reliability import Calibration, signs_of
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
+from piegraph_cli.dynamics.rigid_residual import RigidResidual
 from piegraph_cli.dynamics.stroke import Foresee, Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
@@ -191,6 +192,10 @@ def _rigid_body(params: RigidParams, picks: bool) -> RigidBody:
     return RigidBody(params)
 
 
+def _rigid_residual(params: RigidParams, picks: bool) -> RigidResidual:
+    return RigidResidual(params)
+
+
 def _windows(data: Sequences, params: StepParams, device: str) -> Windows:
     fine, before = finer(data, params.step), params.frames - 1
     return Windows(fine, before, params.rollout, device, noise=params.noise, turn=params.turn)
@@ -219,6 +224,7 @@ MODELS: dict[str, Model] = {
     "pgnd": Model(Learner(_pgnd, _windows, _frame_by_frame)),
     "gbnd": Model(Learner(_gbnd, _windows, _frame_by_frame)),
     "rigid": Model(Learner(_rigid_body, None, _pushed)),
+    "rigid-gp": Model(Learner(_rigid_residual, None, _pushed)),
     "static": Model(),
 }
 """What they are, in words: `dynamics.params.MODEL_HELP`."""

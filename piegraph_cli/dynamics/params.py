@@ -22,6 +22,7 @@ ModelName = Literal[
     "pgnd",
     "gbnd",
     "rigid",
+    "rigid-gp",
     "static",
 ]
 MODEL_HELP: dict[str, str] = {
@@ -36,6 +37,7 @@ MODEL_HELP: dict[str, str] = {
     "pgnd": "Particle-Grid Neural Dynamics",
     "gbnd": "graph-based neural dynamics with a tool node",
     "rigid": "a rigid body pushed over a table: an analytic model, five numbers fitted",
+    "rigid-gp": "the same, and a Gaussian process on what it leaves",
     "static": "nothing moves: the floor of every comparison",
 }
 """What each model is, in a line."""
@@ -277,6 +279,7 @@ class TrainParams(Params):
     pgnd: PGNDParams = Field(PGNDParams(), description="its settings")
     gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
     rigid: RigidParams = Field(RigidParams(), description="its settings")
+    rigid_gp: RigidParams = Field(RigidParams(), alias="rigid-gp", description="its settings")
     variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
 
     def files(self) -> dict[str, Path]:

@@ -1,7 +1,7 @@
 """A rigid body that is pushed over a table, quasi-statically: five numbers fitted to strokes, and an outline."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -40,15 +40,18 @@ class RigidBody(nn.Module):
     four fifths of the radius of gyration. The paper has no such model.
     """
 
+    learned: ClassVar[dict[str, tuple[int, ...]]] = {"edges": (0, 4), "shape": (0, 2), "numbers": (5,)}
+    """Arrays that are learned, and their shapes; 0 for as many as there are."""
+
     def __init__(self, params: RigidParams):
         super().__init__()
         self.params = params
-        for name, shape in (("edges", (0, 4)), ("shape", (0, 2)), ("numbers", (5,))):
+        for name, shape in self.learned.items():
             self.register_buffer(name, torch.zeros(shape))
 
     def _load_from_state_dict(self, state_dict: dict, prefix: str, *rest: Any) -> None:
-        for name in ("edges", "shape"):  # of as many pieces and particles as there are
-            if prefix + name in state_dict:
+        for name, shape in self.learned.items():
+            if 0 in shape and prefix + name in state_dict:
                 setattr(self, name, torch.empty_like(state_dict[prefix + name]))
         super()._load_from_state_dict(state_dict, prefix, *rest)
 
@@ -71,6 +74,13 @@ class RigidBody(nn.Module):
         points = self.shape.numpy()
         outline = outline_of(points, self.params.alpha) if corners is None else edges_of(laid_on(corners, points))
         self.edges = torch.as_tensor(outline, dtype=torch.float32)
+        scene = self.scene(data)
+        self._fit_numbers(*scene)
+        bent = float(np.median(planar_residuals(*(states.numpy() for states in scene[2:]))))
+        return float(self._errors(self.numbers[None], *scene).mean()), bent
+
+    def scene(self, data: Sequences) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Of at most `MOST` strokes: poses [S, 3] before them, their ends [S, 4], particles before and after [S, N, 2]."""
         chosen = np.linspace(0, len(data.strokes) - 1, min(len(data.strokes), MOST)).astype(int)
         (first, last), owner = data.strokes[chosen].T, data.owner[chosen]
         frames = [body_frame(rest, self.shape.numpy()) for rest in data.rest]
@@ -78,11 +88,9 @@ class RigidBody(nn.Module):
         poses = np.array(
             [_compose(planar_fit(data.rest[o][:, :2], x), frames[o]) for o, x in zip(owner, before, strict=True)]
         )
-        strokes = data.whole()[chosen]
-        scene = [torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, strokes.ends.flatten(1), before, after)]
-        self._fit_numbers(*scene)
-        bent = float(np.median(planar_residuals(before, after)))
-        return float(self._errors(self.numbers[None], *scene).mean()), bent
+        ends = data.whole()[chosen].ends.flatten(1)
+        poses, ends, before, after = (torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, ends, before, after))
+        return poses, ends, before, after
 
     def _fit_numbers(self, *scene: Tensor) -> None:
         from scipy.optimize import differential_evolution  # planning does without
@@ -106,7 +114,7 @@ class RigidBody(nn.Module):
         """Mean particle error (m) [K, S] of every stroke [S] under every set of numbers [K, 5]."""
         sets, count = len(numbers), len(poses)
         moved = push(self.edges, poses.repeat(sets, 1), strokes.repeat(sets, 1), numbers.repeat_interleave(count, 0))
-        found = _carry(before.repeat(sets, 1, 1), poses.repeat(sets, 1), moved)
+        found = carry(before.repeat(sets, 1, 1), poses.repeat(sets, 1), moved)
         return (found - after.repeat(sets, 1, 1)).norm(dim=-1).mean(1).reshape(sets, count)
 
     def predict(self, positions: Tensor, strokes: Strokes, rest: Tensor, frame: np.ndarray) -> Tensor:
@@ -115,8 +123,11 @@ class RigidBody(nn.Module):
             raise DataError("a pick: a rigid body is pushed", hint="plan with pushes alone, or another model")
         poses = _poses(rest[:, :2], positions[..., :2], frame)
         ends = strokes.ends.flatten(1).to(poses)
-        moved = push(self.edges, poses, ends, self.numbers.expand(len(poses), 5))
-        return torch.cat([_carry(positions[..., :2], poses, moved), positions[..., 2:]], -1)
+        return torch.cat([carry(positions[..., :2], poses, self.moved(poses, ends)), positions[..., 2:]], -1)
+
+    def moved(self, poses: Tensor, ends: Tensor) -> Tensor:
+        """Poses [B, 3] after strokes [B, 4] (m) from poses [B, 3]."""
+        return push(self.edges, poses, ends, self.numbers.expand(len(poses), 5))
 
 
 def _numbers(x: np.ndarray) -> Tensor:
@@ -181,7 +192,7 @@ def _poses(rest: Tensor, states: Tensor, frame: np.ndarray) -> Tensor:
     return torch.cat([states.mean(1) + place, (yaw + float(frame[2]))[:, None]], 1)
 
 
-def _carry(points: Tensor, before: Tensor, after: Tensor) -> Tensor:
+def carry(points: Tensor, before: Tensor, after: Tensor) -> Tensor:
     """Points [B, N, 2] of bodies that went from one pose [B, 3] to another."""
     yaw = after[:, 2] - before[:, 2]
     cosine, sine = yaw.cos()[:, None], yaw.sin()[:, None]

@@ -3,10 +3,9 @@
 import ipaddress
 import os
 import secrets
-import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
 TOKEN = "PIEGRAPH_TOKEN"
 """The environment's variable that holds the token."""
-TOLD_TO_END = 143
-"""The exit code of what SIGTERM ended."""
 
 
 def serve(
@@ -51,7 +48,6 @@ def serve(
     It serves until Ctrl-C or SIGTERM, or, with --stdio, until stdin ends. What to send is in docs/robot.md.
     """
     _check(run, model, recording, live)
-    signal.signal(signal.SIGTERM, _end)
     what = (run, model, recording, live, device)
     if stdio:
         _on_stdio(what)
@@ -78,10 +74,6 @@ def _on_http(what: tuple[Any, ...], host: str, port: int, token: str | None, as_
         with opened_service(*what) as service:
             url = f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}"
             make_server(service, Gate(host, token), lambda: _tell(service, url, as_json)).run([socket])
-
-
-def _end(*_: object) -> NoReturn:
-    raise SystemExit(TOLD_TO_END)
 
 
 def _check(run: Path | None, model: str | None, recording: Path | None, live: bool) -> None:

@@ -9,7 +9,7 @@ LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1 libusb-1.0-0
 IMPORTS := import importlib.util, cv2, mediapipe, open3d; importlib.util.find_spec('pyrealsense2') and __import__('pyrealsense2')
 export PYTHONUNBUFFERED := 1
 
-EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise search pushes
+EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings noise guidance search pushes
 
 SAMPLE ?= 150
 
@@ -76,23 +76,24 @@ attack: setup
 	$(BIN)/python -m tests.attack --seconds $(SECONDS)
 
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
-# into runs/quick. Interrupt and repeat at will: what is done is kept
+# into runs/quick. Interrupt and repeat at will: what is done is kept. HOURS=2 begins nothing after two hours;
+# KEEP=results/pieces keeps the pieces that the tables of docs/ are made from
 $(EXPERIMENTS): setup
-	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(DATA),--data "$(DATA)")
+	$(BIN)/piegraph reproduce $@ --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(DATA),--data "$(DATA)") $(if $(HOURS),--hours $(HOURS)) $(if $(KEEP),--keep "$(KEEP)")
 
 # recordings that are wrong on purpose, and what ingest says of them: the table of docs/checks.md
 troubles: setup
 	$(BIN)/piegraph reproduce troubles --jobs $(JOBS) $(if $(QUICK),--quick)
 
 reproduce: setup
-	$(BIN)/piegraph reproduce all --jobs $(JOBS) $(if $(QUICK),--quick)
+	$(BIN)/piegraph reproduce all --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(HOURS),--hours $(HOURS)) $(if $(KEEP),--keep "$(KEEP)")
 
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# the tables of README.md and docs/ from results/, docs/settings.md from the settings, docs/json.md from what commands tell
+# the tables of README.md and docs/ from results/ and its pieces, docs/settings.md from the settings, docs/json.md from what commands tell
 tables: setup
 	$(BIN)/python -m tools.tables
 	$(BIN)/python -m tools.settings

@@ -115,8 +115,13 @@ class Params(BaseModel):
         return self.model_dump(mode="json", exclude=unused)
 
     def files(self) -> dict[str, Path]:
-        """Files and folders these settings name; their content, not their path, enters the cache key."""
-        return {name: value for name, value in self if isinstance(value, Path)}
+        """Files and folders these settings name; their content, not their path, enters the cache key.
+
+        Those in a table of settings are called TABLE.NAME.
+        """
+        own = {name: value for name, value in self if isinstance(value, Path)}
+        tables = {type(self).model_fields[name].alias or name: of for name, of in self if isinstance(of, Params)}
+        return own | {f"{name}.{inner}": file for name, of in tables.items() for inner, file in of.files().items()}
 
     def placed(self, base: Path) -> dict[str, str]:
         """The settings that name files, with paths that are taken from `base` made absolute."""

@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 from piegraph_cli.errors import MissingError
 
@@ -36,6 +37,18 @@ def choose_device(name: str) -> str:
     if name == "cuda" and not torch.cuda.is_available():
         raise MissingError("PyTorch finds no CUDA device", "--device cuda", "leave --device out, or use --device cpu")
     return name
+
+
+def free_memory() -> float | None:
+    """Bytes that this machine, or the container that the process is in, has for more processes; None where it does not say."""
+    with contextlib.suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        free = 1024.0 * int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1])
+        with contextlib.suppress(OSError, ValueError):  # "max" is no number
+            limit, used = (int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current"))
+            free = min(free, float(limit - used))
+        return free
+    return None
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from piegraph_cli.experiments.measured import write_strokes
 from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.experiments.recipes import load_experiment, names, recipe_of, trial_recipe
 from piegraph_cli.planning.params import TrialsParams
-from piegraph_cli.stages import STAGES
+from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.stages.train import model_names, trained_name
 from tests.cli import REPOSITORY, piegraph, piegraph_json
 
@@ -167,6 +167,29 @@ def test_strokes_that_others_measured_end_in_a_table(tmp_path):
     assert pd["static"] == pytest.approx(2.0, abs=0.01)
     assert max(pd["rigid@3"], pd["rigid@6"]) < 0.1
     assert len(found["pictures"]) == 2
+    assert not any("outline" in name for name in pd)
+
+
+CORNERS = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
+
+
+def test_an_outline_beside_strokes_that_others_measured_is_a_row_of_its_own(tmp_path):
+    given = ["training=6", "interactions.measured=[3]", 'models=["static","rigid"]', "seeds=[0]"]
+    settings = [word for text in given for word in ("--set", text)]
+    command = ("reproduce", "pushes", "--runs", tmp_path, *settings)
+    file = measured(tmp_path / "a.npz", outline=CORNERS * 0.8 + 0.3)
+    wrong = piegraph(*command, "--data", measured(tmp_path / "b.npz", outline=CORNERS[[0, 2, 1, 3]]), check=3).stderr
+    assert "b.npz: the outline crosses itself" in wrong
+    wrong = piegraph(*command, "--data", measured(tmp_path / "c.npz", outline=CORNERS * 2), check=3).stderr
+    assert "the outline measures 200 x 200 mm, the particles 100 x 100 mm" in wrong
+    found = piegraph_json(*command, "--data", measured(file, outline=CORNERS + 0.3))["pushes"]
+    pd = {row["model"]: row["pd"][0] for row in found["predictions"]}
+    assert pd["rigid:outline"] < 0.1
+    run = open_run(tmp_path / "measured")
+    assert run.fresh(STAGES["train"], "rigid:outline@3.seed0")
+    (outline,) = (tmp_path / "recordings").glob("*outline.npz")
+    np.savez(outline, outline=CORNERS * 1.01)
+    assert not open_run(tmp_path / "measured").fresh(STAGES["train"], "rigid:outline@3.seed0"), "its content counts"
 
 
 def test_what_is_no_file_of_strokes_is_refused(tmp_path):
@@ -229,3 +252,27 @@ def test_a_search_gives_every_learned_model_as_many_candidates_on_sequences_of_i
         recipe = recipe_of(params, environment, None)
         seeds = {load_experiment(name, False).simulation for name in names() if name != "search"}
         assert recipe.params(STAGES["simulate"]).seed not in seeds
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ('variants={"pgnd:fast"={learning_rat=1e-3}}', 'variants."pgnd:fast".learning_rat: unknown setting'),
+        ('variants={"pgnd:fast"={learning_rate=-1.0}}', 'variants."pgnd:fast".learning_rate: Input should be greater'),
+        ('variants={"pngd:fast"={}}', 'variants."pngd:fast" is no variant of a model that learns'),
+        ('variants={"static:fast"={}}', 'variants."static:fast" is no variant of a model that learns'),
+        ('variants={"pgnd"={}}', 'variants."pgnd" is no variant of a model that learns'),
+        ('models=["pgnd:fast"]', 'no variants."pgnd:fast", which pgnd:fast@10 is'),
+        ('models=["pgdn"]', "no model pgdn"),
+        ('trials.models=["piegraph:fast"]', 'no variants."piegraph:fast"'),
+        ('trials.models=["gnn"]', "gnn@10 plans with gnn@10, which is not trained"),
+        ("trials.plan.sampels=7", "trials.plan.sampels: unknown setting"),
+        ("simulation=100", "trials and recordings are of simulation 0"),
+    ],
+)
+def test_a_name_that_nothing_knows_is_refused_before_an_hour_is_spent(change, reason):
+    with pytest.raises(UsageError) as caught:
+        load_experiment("planning", False, [change])
+    assert reason in caught.value.message
+    assert caught.value.where.endswith("planning.toml")
+    assert caught.value.hint

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tools import settings
+from tools import measured, settings
 from tools.tables import PAGES, PLACE, REPOSITORY, RESULTS, Figure, cell_text, filled, markdown, read
 
 NAMES = sorted(path.stem for path in RESULTS.glob("*.toml"))
@@ -36,7 +36,8 @@ def test_the_page_of_settings_is_as_the_models_make_it():
 
 def test_every_result_is_on_a_page_once():
     shown = [name for path in PAGES for _, name, _, _ in PLACE.findall(path.read_text(encoding="utf-8"))]
-    assert sorted(shown) == NAMES
+    assert len(set(shown)) == len(shown)
+    assert set(NAMES) <= set(shown) <= {*NAMES, *measured.NAMES}
 
 
 def test_readme_has_no_table_that_is_not_made():
@@ -51,6 +52,8 @@ def test_a_result_says_when_and_on_what(name: str):
 
 def test_what_is_printed_twice_agrees():
     """The errors of predictions in docs/figures.md are among those of all models."""
+    if not all((RESULTS / f"{name}.toml").is_file() for name in ("dynamics-four-strokes", "dynamics")):
+        pytest.skip("made of the same pieces")
     short, whole = (read(RESULTS / f"{name}.toml") for name in ("dynamics-four-strokes", "dynamics"))
     assert [column["name"] for column in short["columns"][1:]] == [column["name"] for column in whole["columns"][1:]]
     of_model = {row[0]: row[1:] for row in whole["rows"]}

@@ -1,4 +1,7 @@
-"""The tables of measured figures in README.md and docs/, made from the files in results/.
+"""The tables of measured figures in README.md and docs/, made from the pieces of experiments and the files in results/.
+
+Tables of experiments are made from their pieces in results/pieces/ (`tools.measured`), as soon as there is one of them. Others,
+and those of which nothing is measured with this version, are files.
 
 A file is one table: `title`, `machine`, `date`, `seeds`, `command` and `note` as far as they are known, `columns` and
 `rows`. A cell is a text, a number, or a list of numbers that its column's `form` puts together; a list that begins
@@ -8,8 +11,12 @@ with a text has that as its form. Numbers are printed with the digits that they 
 
 import re
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+from piegraph_cli.errors import DataError
+from tools import measured
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -79,23 +86,45 @@ def markdown(table: dict[str, Any]) -> str:
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"
 
 
+@cache
+def of_pieces(folder: Path) -> measured.Measured:
+    """The pieces of a folder, read once."""
+    return measured.Measured(folder)
+
+
+def table(name: str, results: Path) -> str:
+    """A table by its name. Raises ValueError where nothing makes it."""
+    made = of_pieces(results / "pieces").table(name) if name in measured.NAMES else None
+    if made is not None:
+        return made
+    if (results / f"{name}.toml").is_file():
+        return markdown(read(results / f"{name}.toml"))
+    if name in measured.NAMES:
+        return f"{measured.NOT_MEASURED}\n"
+    raise ValueError(f"no {name}.toml in {results.name}/")
+
+
 def filled(page: str, results: Path = RESULTS) -> str:
-    """A page with its tables as the files have them. Raises ValueError where a place has no file, or a mark no end."""
+    """A page with its tables as they are made. Raises ValueError where nothing makes one, or a mark has no end."""
     places = PLACE.findall(page)
     if len(places) != page.count("<!-- table:") or len(places) != page.count("<!-- end -->"):
         raise ValueError("a `<!-- table: NAME -->` without its `<!-- end -->`, or the other way")
-    for _, name, _, _ in places:
-        if not (results / f"{name}.toml").is_file():
-            raise ValueError(f"no {name}.toml in {results.name}/")
-    return PLACE.sub(lambda place: place[1] + markdown(read(results / f"{place[2]}.toml")) + place[4], page)
+    return PLACE.sub(lambda place: place[1] + table(place[2], results) + place[4], page)
 
 
 def main() -> None:
     for path in PAGES:
         page = path.read_text(encoding="utf-8")
-        if (new := filled(page)) != page:
+        try:
+            new = filled(page)
+        except DataError as error:
+            sys.exit(str(error))
+        if new != page:
             path.write_text(new, encoding="utf-8")
             print(f"{path.relative_to(REPOSITORY)}: tables written")
+    for name in measured.NAMES:
+        if (old := RESULTS / f"{name}.toml").is_file() and of_pieces(RESULTS / "pieces").table(name) is not None:
+            print(f"{old.relative_to(REPOSITORY)}: pieces make this table now, remove the file")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from piegraph_cli.bench.kernels import ALLOWED, CHECKED, network_case, network_f
 from piegraph_cli.bench.measure import IN_MEMORY, Row, check, median_seconds
 from piegraph_cli.bench.pipeline import carried_sequences, learned_block, make_trainer
 from piegraph_cli.dynamics.egnn import Rest
-from piegraph_cli.dynamics.models import Trained, make_predict
+from piegraph_cli.dynamics.models import Trained, make_foresee
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import EGNNParams
 from piegraph_cli.params import PUSH
@@ -115,7 +115,7 @@ def _search(state: Tensor, trained: Trained, params: PlanParams, device: str) ->
     cost = make_cost("distance", rest + torch.tensor([0.1, 0.05, 0.0]).to(rest), len(rest))
     space = stroke_space(rest, params, (PUSH,), params.pusher_radius)
     generator = torch.Generator(device).manual_seed(0)
-    return Search(make_predict(params.model, trained, rest, params), cost, space, params, generator, rest.is_cuda)
+    return Search(make_foresee(params.model, trained, rest, params), cost, space, params, generator, rest.is_cuda)
 
 
 def train_rows() -> Iterator[Row]:

@@ -12,7 +12,7 @@ from piegraph_cli.bench.kernels import network_flop, random_object, random_strok
 from piegraph_cli.bench.measure import Row, check, core_counts, median_seconds, on_cores
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
+from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict, sure
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams, LearningParams
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.dynamics.training import Trainer
@@ -29,7 +29,7 @@ from piegraph_cli.planning.planner import stroke_space
 from piegraph_cli.planning.search import Search
 from piegraph_cli.service.requests import written
 from piegraph_cli.service.service import Service
-from piegraph_cli.stages.simulate import make_environment
+from piegraph_cli.stages.steps import make_environment
 
 AT_REST = 1e-3
 """Metres. The springs of a plan stop when all of their group are at rest, and groups differ from the reference's."""
@@ -104,7 +104,7 @@ def _plan(state: Tensor, trained: Trained, params: PlanParams, cores: int) -> Ro
     predict, slow = make_predict(params.model, trained, state, params), _reference(trained, state, params)
 
     def plan(with_: Predict):
-        found = Search(with_, cost, space, params, torch.Generator().manual_seed(0))(state)
+        found = Search(sure(with_), cost, space, params, torch.Generator().manual_seed(0))(state)
         assert found is not None
         return found
 

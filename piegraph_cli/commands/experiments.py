@@ -1,6 +1,7 @@
 """The command that makes the paper's tables and figures."""
 
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,15 +12,31 @@ from piegraph_cli.commands import names
 from piegraph_cli.commands.answer import error_object
 from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs, running
 from piegraph_cli.commands.output import Report, emit, logging_to
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, command_line
 
 if TYPE_CHECKING:
     from piegraph_cli.experiments.params import ExperimentParams
-    from piegraph_cli.workspace.execute import Options
+    from piegraph_cli.experiments.run import Work
 
 
 Runs = Annotated[
     Path | None, typer.Option(help="folder of the experiments' runs [default: runs/paper, or runs/quick with --quick]")
+]
+
+
+Quick = Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
+]
+Strokes = Annotated[
+    Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
+]
+Hours = Annotated[
+    float | None, typer.Option(min=0.0, help="begin no further piece after so many; the same command goes on")
+]
+Keep = Annotated[
+    Path | None,
+    typer.Option(help="folder of pieces, the small text files of figures [default: RUNS/report/pieces]"),
 ]
 
 
@@ -33,15 +50,13 @@ def reproduce(
         ),
     ],
     runs: Runs = None,
-    quick: Annotated[bool, typer.Option("--quick", help="minutes, not hours: fewer sequences, seeds, steps")] = False,
-    set: Annotated[
-        list[str] | None, typer.Option("--set", help="SETTING=VALUE in place of the experiment's, as trials.seeds=3")
-    ] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="for `pushes`: .npz of strokes that others measured (docs/experiments.md)")
-    ] = None,
+    quick: Quick = False,
+    set: Changes = None,
+    data: Strokes = None,
     envs: Annotated[str, typer.Option(help="environments to do, as tblock,toy [default: all it has]")] = "",
     show: Annotated[bool, typer.Option("--show", help="only print what is done")] = False,
+    hours: Hours = None,
+    keep: Keep = None,
     jobs: Jobs = 1,
     backend: Backend = "local",
     device: Device = "auto",
@@ -49,16 +64,25 @@ def reproduce(
 ) -> None:
     """Run an experiment of the paper, and print its table.
 
-    Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report.
+    Whatever is fresh is not done again. Table, numbers and pictures are kept in RUNS/report, and a piece of each part.
     """
+    from piegraph_cli.experiments.run import Work
+
     folder = runs or Path("runs") / ("quick" if quick else "paper")
     if experiment == "troubles":
         place = folder / "troubles"
         return emit(_told_before(place) if show else _troubles(place, quick, set or (), envs, jobs), as_json)
-    chosen = _chosen(experiment, quick, set or (), envs, data)
-    options = None if show else running((), False, jobs, backend, device)
-    reports = {name: _reproduce(name, params, folder, options) for name, params in chosen.items()}
+    chosen, reports = _chosen(experiment, quick, set or (), envs, data), {}
+    until = float("inf") if hours is None else time.monotonic() + 3600 * hours
+    options, place = running((), False, jobs, backend, device), keep or folder / "report" / "pieces"
+    for name, params in chosen.items():
+        command = command_line("reproduce", name, *(["--quick"] if quick else []), *_each("--set", set or ()))
+        reports[name] = _reproduce(name, params, Work(folder, options, place, command, until), show)
     emit(_together(reports), as_json)
+
+
+def _each(option: str, values: Sequence[str]) -> list[str]:
+    return [part for value in values for part in (option, value)]
 
 
 def _together(reports: dict[str, Report]) -> Report:
@@ -104,13 +128,15 @@ def _chosen(
     return {name: load_experiment(name, quick, changes, of).model_copy(update=given) for name in wanted}
 
 
-def _reproduce(name: str, params: "ExperimentParams", folder: Path, options: "Options | None") -> Report:
-    """Do what an experiment's runs lack, unless no options say how, and read its table."""
+def _reproduce(name: str, params: "ExperimentParams", work: "Work", show: bool) -> Report:
+    """Do what an experiment's runs lack, unless they are only shown, and read its table."""
     from piegraph_cli.experiments.run import run_experiment, write_report
 
-    with logging_to(folder):
-        failed = run_experiment(name, params, folder, options) if options else []
-        value, text, pictures = write_report(name, params, folder)
-    value |= {"pictures": [str(p) for p in pictures], "failed": [error_object(e) for e in failed]}
+    with logging_to(work.folder):
+        if not show:
+            run_experiment(name, params, work)
+        value, text, pictures = write_report(name, params, work)
+    failed = work.failed
+    value |= {"pictures": [str(p) for p in pictures], "failed": [error_object(e) for e in failed], "left": work.left}
     error = failed[0] if failed else None
     return Report(value, [*text, "", *map(str, pictures)], error.exit_code if error else 0, error)

@@ -25,7 +25,7 @@ SCALE = 20.0
 
 
 def _encoder(inputs: int, width: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+    return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(True), nn.Linear(width, width), nn.ReLU(True))
 
 
 class GBND(nn.Module):
@@ -81,12 +81,11 @@ class GBND(nn.Module):
         offset = (x[:, :, None] - gather_neighbors(torch.cat([x, place], 1), neighbors)) * DECIMETRE
         is_tool = (neighbors >= particles).to(x)[..., None]
         edges = self.edges(torch.cat([offset, (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt(), is_tool], -1))
-        relation, mask, h = self.relate(edges), near.to(x)[..., None], nodes
+        # what is not near sends nothing: no message is below zero
+        relation, h = self.relate(edges).masked_fill(~near[..., None], -torch.inf), nodes
         for _ in range(ROUNDS):
-            message = torch.relu(
-                relation + self.receive(h[:, :particles])[:, :, None] + gather_neighbors(self.send(h), neighbors)
-            )
-            gathered = (message * mask).sum(2)
+            message = relation + self.receive(h[:, :particles])[:, :, None]
+            gathered = message.add_(gather_neighbors(self.send(h), neighbors)).relu_().sum(2)
             own = torch.relu(self.update(torch.cat([nodes[:, :particles], gathered], -1)) + h[:, :particles])
             h = torch.cat([own, h[:, particles:]], 1)
         return x + self.head(h[:, :particles]) / SCALE

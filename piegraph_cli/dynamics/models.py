@@ -27,8 +27,9 @@ from piegraph_cli.dynamics.params import (
     StepParams,
     split_label,
 )
+from piegraph_cli.dynamics.reliability import Calibration, signs_of
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
-from piegraph_cli.dynamics.stroke import Predict, Strokes
+from piegraph_cli.dynamics.stroke import Foresee, Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.particles import Sizes
@@ -61,6 +62,8 @@ class Trained:
     """[N, 3] metres: such an object before its first stroke; None where it is not known."""
     sizes: Sizes | None = None
     """How large it was, in all states that were seen."""
+    calibration: Calibration | None = None
+    """What errors to expect of its predictions; None where that was not measured."""
 
 
 @dataclass(frozen=True)
@@ -120,25 +123,30 @@ def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
     pace = min(trained.pace, settings.step)
 
     def roll(x: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+        """Of strokes of which none is longer than those before it: those that still move come first."""
         start, along, length = strokes.planar.start, strokes.along, strokes.length[:, None]
-        past, hand, mode = x[:, None].expand(-1, settings.frames, -1, -1), start, strokes.mode
+        past, hand, x = x[:, None].expand(-1, settings.frames, -1, -1), start, x.clone()
         for k in range(1, math.ceil(float(length.max()) / pace) + 1):
+            moving = int((length > (k - 1 + SHORTEST) * pace).sum())
+            if moving == 0:
+                break
             after = start + along / length * torch.minimum(length, length.new_tensor(k * pace))
-            moves = (length > (k - 1 + SHORTEST) * pace)[..., None]
-            x = torch.where(moves, trained.network.step(past, hand, after, mode), x)  # type: ignore[operator]
-            past, hand = torch.cat([past[:, 1:], x[:, None]], 1), after
+            past, hand, after = past[:moving], hand[:moving], after[:moving]
+            x[:moving] = trained.network.step(past, hand, after, strokes.mode[:moving])  # type: ignore[operator]
+            past, hand = torch.cat([past[:, 1:], x[:moving, None]], 1), after
         return x
 
     @torch.inference_mode()
     def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
-        chunks = zip(positions.split(CHUNK), strokes.split(CHUNK), strict=True)
-        return torch.cat([roll(x, stroke) for x, stroke in chunks])
+        order = strokes.length.argsort(descending=True)
+        chunks = zip(positions[order].split(CHUNK), strokes[order].split(CHUNK), strict=True)
+        return torch.cat([roll(x, stroke) for x, stroke in chunks])[order.argsort()]
 
     return predict
 
 
 def _springs_alone(network: sms.SMS, rest: torch.Tensor) -> Predict:
-    graph = build_springs(rest.cpu().numpy(), network.params.radius)
+    graph = sms.object_springs(rest.cpu().numpy(), network.params.radius)
 
     @torch.inference_mode()
     def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
@@ -230,26 +238,41 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     One neighbour list serves every prediction of a graph network: it is cheaper than a new one per state, and more accurate
     over several strokes, since layers of a folded object do not connect. `name` may end in @ and a number of sequences.
     """
-    name = split_label(name)[0]
-    model = MODELS[name]
-    if name == "static":
-        return lambda positions, strokes: positions
-    if name == "sms-no":
-        move = _springs_alone(sms.SMS(SMSParams(tension_only=params.tension_only)).to(rest.device), rest)
-    else:
-        learner = MODELS[str(TRAINED_AS.get(name, name))].learner
-        assert learner is not None
-        assert trained is not None
-        trained.network.to(rest.device)
-        move = learner.predict(trained, rest)
-    correct = model.correction(rest, params) if model.correction else None
+    foresee = make_foresee(name, trained, rest, params)
+    return lambda positions, strokes: foresee(positions, strokes)[0]
 
-    def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+
+def make_foresee(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Foresee:
+    """As `make_predict`, beside the signs of how far off a prediction may be."""
+    name = split_label(name)[0]
+    if name == "static":
+        return sure(lambda positions, strokes: positions)
+    move, correction = _move(name, trained, rest, params), MODELS[name].correction
+    correct = correction(rest, params) if correction else None
+
+    def foresee(positions: torch.Tensor, strokes: Strokes) -> tuple[torch.Tensor, torch.Tensor]:
         strokes.check()
         setpoint = move(positions, strokes)
-        return correct(positions, setpoint) if correct else setpoint
+        after = correct(positions, setpoint) if correct else setpoint
+        return after, signs_of(positions, setpoint, after)
 
-    return predict
+    return foresee
+
+
+def sure(predict: Predict) -> Foresee:
+    """Predictions without a sign that any may be off."""
+    return lambda positions, strokes: (predict(positions, strokes), positions.new_zeros(len(positions), 2))
+
+
+def _move(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
+    """What one network, or springs alone, predict: before any correction."""
+    if name == "sms-no":
+        return _springs_alone(sms.SMS(SMSParams(tension_only=params.tension_only)).to(rest.device), rest)
+    learner = MODELS[str(TRAINED_AS.get(name, name))].learner
+    assert learner is not None
+    assert trained is not None
+    trained.network.to(rest.device)
+    return learner.predict(trained, rest)
 
 
 def make_network(name: str, settings: FittedParams, picks: bool, seed: int) -> nn.Module:

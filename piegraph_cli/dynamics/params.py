@@ -161,18 +161,18 @@ class ActionNodeParams(GraphParams):
 class SMSParams(LearningParams):
     """The springs and the pusher of a spring-mass system alone, and how they are optimised."""
 
-    learning_rate: float = Field(0.05, gt=0, description="learning rate at the start of the cosine")
+    learning_rate: float = Field(0.15, gt=0, description="learning rate at the start of the cosine")
     weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
-    batch: int = Field(2, ge=1, description="training sequences per step")
+    batch: int = Field(4, ge=1, description="training sequences per step")
     steps: int = Field(120, ge=1, description="training steps of the first cycle")
-    radius: float = Field(0.05, gt=0, description="particles closer than this are joined by a spring [m]")
+    radius: float = Field(0.08, gt=0, description="particles closer than this are joined by a spring [m]")
     stride: float = Field(1e-3, gt=0, description="the hand's motion per iteration [m]")
     settle: int = Field(20, ge=0, description="iterations after the hand has stopped")
-    stiffness: float = Field(0.15, gt=0, description="spring stiffness k dt^2/m at the start")
-    damping: float = Field(0.8, gt=0, lt=1, description="velocity kept per iteration at the start")
-    friction: float = Field(0.5, gt=0, description="Coulomb coefficient of the table at the start")
-    gravity: float = Field(1e-4, gt=0, description="g dt^2 at the start [m]")
+    stiffness: float = Field(0.1, gt=0, description="spring stiffness k dt^2/m at the start")
+    damping: float = Field(0.9, gt=0, lt=1, description="velocity kept per iteration at the start")
+    friction: float = Field(5e-5, gt=0, description="friction with the table, mu g dt^2, at the start [m]")
     reach: float = Field(0.015, gt=0, description="distance that the pusher keeps particles away, at the start [m]")
+    grip: float = Field(0.4, gt=0, description="Coulomb coefficient of the pusher at the start")
     tension_only: bool = Field(False, description="springs pull but never push, as in cloth")
 
 
@@ -237,7 +237,18 @@ class RigidParams(FittedParams):
         1.8, ge=1, description="coarsest triangles of the outline, times those that join the particles"
     )
     friction: float = Field(0.25, gt=0, description="friction with the pusher, before strokes are seen")
-    reach: float = Field(0.01, gt=0, description="distance of the pusher's centre from the outermost particles [m]")
+    reach: float = Field(
+        0.01,
+        gt=0,
+        description="distance of the pusher's centre from the outline that it keeps, before strokes are seen [m]",
+    )
+    outline: Path | None = Field(
+        None,
+        description="outline from above, x,y [m] in any frame: .csv, or .npz with outline (default: of the particles)",
+    )
+    fit: bool = Field(
+        True, description="fit the five numbers to the strokes; else they stay as before strokes are seen"
+    )
 
 
 class TrainParams(Params):
@@ -267,6 +278,13 @@ class TrainParams(Params):
     gbnd: GBNDParams = Field(GBNDParams(), description="its settings")
     rigid: RigidParams = Field(RigidParams(), description="its settings")
     variants: dict[str, dict[str, Any]] = Field({}, description="other settings of a model, by MODEL:VARIANT")
+
+    def files(self) -> dict[str, Path]:
+        """As for all settings, and those of variants."""
+        known = {key for key in self.variants if split_label(key)[0] in LEARNED}
+        return super().files() | {
+            f"variants.{key}.{name}": file for key in sorted(known) for name, file in self.of(key).files().items()
+        }
 
     def seeds_of(self, label: str) -> tuple[int, ...]:
         """The seeds that a model is trained from."""

@@ -29,7 +29,7 @@ WALL = 3
 def _mlp(*sizes: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for a, b in pairwise(sizes):
-        layers += [nn.Linear(a, b), nn.ReLU()]
+        layers += [nn.Linear(a, b), nn.ReLU(True)]
     return nn.Sequential(*layers[:-1])
 
 
@@ -51,11 +51,11 @@ class _Align(nn.Module):
 
     def __init__(self):
         super().__init__()
-        self.points = nn.Sequential(_mlp(3, 64, 128, 1024), nn.ReLU())
+        self.points = nn.Sequential(_mlp(3, 64, 128, 1024))
         self.matrix = nn.Sequential(_mlp(1024, 512, 256), nn.ReLU(), small_linear(256, 9))
 
     def forward(self, points: Tensor) -> Tensor:
-        matrix = self.matrix(self.points(points).amax(1)).view(-1, 3, 3)
+        matrix = self.matrix(self.points(points).amax(1).relu()).view(-1, 3, 3)
         return matrix + torch.eye(3, dtype=points.dtype, device=points.device)
 
 
@@ -134,8 +134,8 @@ class PGND(nn.Module):
         positions [B, P, 3] of particles and the pusher's points, of which `counts` [B, P] are there, with their features
         [B, P, 64]; the object's centre [B, 3], on the table. Nodes near a tool that holds take its velocity.
         """
-        near = (torch.cdist(nodes, positions) < self.params.reach) & counts[:, None]
-        feature = near.to(features) @ features / near.sum(-1, keepdim=True).clamp_min(1)
+        near = torch.cdist(nodes.detach(), positions.detach()).lt_(self.params.reach).mul_(counts[:, None])
+        feature = near @ features / near.sum(-1, keepdim=True).clamp_min(1)
         place = (nodes - centre[:, None]) * math.pi
         waves = torch.cat([place * 2**k for k in range(OCTAVES)], -1)
         velocity = self.decode(torch.cat([place, waves.sin(), waves.cos(), feature], -1))

@@ -1,14 +1,11 @@
-"""A rigid body that is pushed over a table, quasi-statically: five numbers fitted to strokes, the outline from particles."""
+"""A rigid body that is pushed over a table, quasi-statically: five numbers fitted to strokes, and an outline."""
 
-import bisect
 import math
 from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.examples import Sequences
@@ -19,16 +16,16 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK
 from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
 
-JOINED = 0.95
-"""Share of the points that an outline holds."""
-FLAT = 1e-4
-"""Metres off a line below which points have no area."""
 STARTS = 12
 """Yaws from which one shape is laid on another whose particles do not correspond."""
 MATCHED = 0.2
 """Spacings between particles and those of another state up to which they correspond."""
 MOST = 400
 """Strokes that numbers are fitted to: as many of all, evenly spread."""
+STIFF, WIDE = 0.002, 0.008
+"""Metres from a rigid motion up to which nine of ten strokes leave what is rigid, and how wide (rms) that is at least."""
+MOVED, SEVERAL = 0.005, 4
+"""Strokes that move the object by so much (m) tell whether it is rigid, where there are so many."""
 REACH = 1e-3
 """Least distance (m) between the pusher's centre and the outline."""
 _SPREAD = np.array([0.5, 0.3, 0.01, 0.004, 0.004])
@@ -55,16 +52,24 @@ class RigidBody(nn.Module):
                 setattr(self, name, torch.empty_like(state_dict[prefix + name]))
         super()._load_from_state_dict(state_dict, prefix, *rest)
 
-    def fit(self, data: Sequences) -> tuple[float, float]:
+    def fit(self, data: Sequences, corners: np.ndarray | None = None) -> tuple[float, float]:
         """Outline from the first sequence at rest, numbers from all strokes.
 
-        Returns the mean particle error (m) of the strokes after it, and how far (m) the particles are from moving rigidly.
-        Raises `DataError` for picks.
+        `corners` [K, 2] (m): an outline that is given, in a frame of its own; it is laid on the particles. Returns the
+        mean particle error (m) of the strokes after it, and how far (m) the particles are from moving rigidly. Raises
+        `DataError` for picks, and for an outline of another body.
         """
+        from piegraph_cli.dynamics.outline import (
+            edges_of,
+            laid_on,
+            outline_of,
+        )  # OpenCV and SciPy: planning does without
+
         if data.picks:
             raise DataError("strokes that hold the object: a rigid body is pushed", hint="train another model")
         self.shape = torch.as_tensor(_centred(data.rest[0]), dtype=torch.float32)
-        outline = outline_of(self.shape.numpy(), self.params.alpha)
+        points = self.shape.numpy()
+        outline = outline_of(points, self.params.alpha) if corners is None else edges_of(laid_on(corners, points))
         self.edges = torch.as_tensor(outline, dtype=torch.float32)
         chosen = np.linspace(0, len(data.strokes) - 1, min(len(data.strokes), MOST)).astype(int)
         (first, last), owner = data.strokes[chosen].T, data.owner[chosen]
@@ -76,14 +81,17 @@ class RigidBody(nn.Module):
         strokes = data.whole()[chosen]
         scene = [torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, strokes.ends.flatten(1), before, after)]
         self._fit_numbers(*scene)
-        rigid = planar_residual(before, after)
-        return float(self._errors(self.numbers[None], *scene).mean()), rigid
+        bent = float(np.median(planar_residuals(before, after)))
+        return float(self._errors(self.numbers[None], *scene).mean()), bent
 
     def _fit_numbers(self, *scene: Tensor) -> None:
         from scipy.optimize import differential_evolution  # planning does without
 
         gyration = float(self.shape.square().sum(1).mean().sqrt())
         middle = np.array([math.log(self.params.friction), math.log(0.8 * gyration), self.params.reach, 0.0, 0.0])
+        self.numbers = _numbers(middle[None])[0]
+        if not self.params.fit:
+            return
 
         def cost(x: np.ndarray) -> np.ndarray:
             errors = self._errors(_numbers(x.T), *scene).double().mean(1).numpy()
@@ -118,48 +126,25 @@ def _numbers(x: np.ndarray) -> Tensor:
     )
 
 
-def outline_of(points: np.ndarray, alpha: float) -> np.ndarray:
-    """Ends [E, 4] (m) of the pieces of the outline of points [N, 2] (m): the edges of an alpha shape.
-
-    Triangles between points belong to it whose circumradius is at most `alpha` times the least with which they join nearly
-    all points into one. Raises `DataError` for points that have no area.
-    """
-    flat = len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT
-    triangles = np.zeros((0, 3), np.int64) if flat else Delaunay(points).simplices
-    radius = _circumradius(points, triangles)
-    ordered = np.sort(radius)
-    enough = bisect.bisect_left(ordered, True, key=lambda limit: _joined(triangles[radius <= limit], len(points)))
-    if enough == len(ordered):
-        raise DataError("the particles span no area: no outline", hint="a rigid body lies flat; train another model")
-    kept = triangles[radius <= alpha * ordered[enough]]
-    edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
-    pairs, times = np.unique(edges, axis=0, return_counts=True)
-    return points[pairs[times == 1]].reshape(-1, 4)
+def planar_residuals(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """How far [S] (m) particles [S, N, 2] are after strokes from where a rigid motion would have brought them, on average."""
+    motions = [planar_fit(b, a) for b, a in zip(before, after, strict=True)]
+    return np.array(
+        [
+            np.linalg.norm(moved_in_plane(b, m) - a, axis=1).mean()
+            for b, a, m in zip(before, after, motions, strict=True)
+        ]
+    )
 
 
-def _circumradius(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Of triangles [T, 3] between points [N, 2] (m), metres."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    sides = [np.linalg.norm(u - v, axis=1) for u, v in ((b, c), (a, c), (a, b))]
-    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    return np.prod(sides, axis=0) / np.maximum(4 * area, 1e-12)
-
-
-def _joined(triangles: np.ndarray, count: int) -> bool:
-    """Whether triangles join nearly all of so many points into one."""
-    i, j = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
-    parts = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
-    return bool(np.bincount(parts).max() >= JOINED * count)
-
-
-def planar_residual(before: np.ndarray, after: np.ndarray) -> float:
-    """How far (m, median) particles [S, N, 2] are after strokes from where a rigid motion would have brought them."""
-    off = [
-        np.linalg.norm(moved_in_plane(b, m) - a, axis=1).mean()
-        for b, a in zip(before, after, strict=True)
-        for m in [planar_fit(b, a)]
-    ]
-    return float(np.median(off))
+def is_rigid(data: Sequences) -> bool:
+    """Whether all strokes are pushes and move the object as a rigid thing that covers an area: what a `RigidBody` is for."""
+    before, after = (data.positions[k][..., :2] for k in data.strokes.T)
+    moved = np.linalg.norm(after - before, axis=-1).mean(1) > MOVED
+    wide = np.linalg.svd(_centred(data.rest[0]), compute_uv=False)[-1] / math.sqrt(data.rest.shape[1]) > WIDE
+    if data.picks or not wide or moved.sum() < SEVERAL:
+        return False
+    return bool(np.quantile(planar_residuals(before[moved], after[moved]), 0.9) < STIFF)
 
 
 def body_frame(rest: np.ndarray, shape: np.ndarray) -> np.ndarray:

@@ -154,3 +154,6 @@ class Strokes:
 
 Predict = Callable[[Tensor, Strokes], Tensor]
 """A model of one object: particles [B, N, 3] (m) before strokes [B] in, those after them out."""
+
+Foresee = Callable[[Tensor, Strokes], tuple[Tensor, Tensor]]
+"""The same, beside the signs [B, 2] (m) of how far off each prediction may be: see `dynamics.reliability`."""

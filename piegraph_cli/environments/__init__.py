@@ -22,6 +22,8 @@ class Entry:
     target: str
     options: type[Params]
     fixed: Mapping[str, Any] = field(default_factory=dict)
+    memory: float = 0.0
+    """Bytes that it takes in a process of its own; 0 where it has none."""
 
 
 ENVIRONMENTS = {
@@ -31,8 +33,8 @@ ENVIRONMENTS = {
     "tshirt": Entry("cloth:Cloth", params.TShirtOptions, {"outline": "tshirt"}),
     "cloth": Entry("cloth:Cloth", params.ClothOptions, {"outline": "square"}),
     "toy": Entry("toy:Toy", params.ToyOptions),
-    "daxbench-rope": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "rope"}),
-    "daxbench-tshirt": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "tshirt"}),
+    "daxbench-rope": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "rope"}, memory=3.1e9),
+    "daxbench-tshirt": Entry("daxbench:DaXBench", params.DaXBenchOptions, {"task": "tshirt"}, memory=0.4e9),
 }
 """Every environment by name; each class is a `base.Environment`."""
 

@@ -56,6 +56,8 @@ class Environment(gymnasium.Env):
     """Of random pushes, metres."""
     reach = REACH
     """No particle gets further from the origin in x or y by random strokes and goals, metres."""
+    walls: tuple[float, float, float, float] | None = None
+    """xmin, xmax, ymin, ymax that the tool stays inside, metres; None where nothing stops it."""
     triangles: np.ndarray
     """[T, 3] of `surface`, facing outwards."""
     color = (0.035, 0.13, 0.52)
@@ -100,6 +102,9 @@ class Environment(gymnasium.Env):
             "grasped": motion.grasped,
         }
         return frames[-1], 0.0, False, False, info
+
+    def check(self) -> None:
+        """Raise what would fail every stroke, before there is one; here, nothing would."""
 
     @abstractmethod
     def particles(self, shapes: np.ndarray | None = None) -> np.ndarray:

@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 
 from piegraph_cli.environments import daxbench_child
 from piegraph_cli.environments.base import Environment, Motion, check_state, stroke_frames
-from piegraph_cli.environments.daxbench_process import HELP, Process, finite, whole
+from piegraph_cli.environments.daxbench_process import Process, finite, whole
+from piegraph_cli.environments.daxbench_setup import installation, problem
 from piegraph_cli.environments.params import DaXBenchOptions
-from piegraph_cli.errors import DataError, MissingError, UsageError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.physics.springs import farthest_point_sample
 
@@ -27,8 +28,8 @@ _PUSHER_RADIUS = 0.015
 
 With the disc around it, random strokes would miss; a corner that starts on the rope only takes it along.
 """
-_BOX_MARGIN = 0.01
-"""Metres that random picks stay away from the walls of the T-shirt's box."""
+_WALL_MARGIN = 0.01
+"""Metres that picks stay away from the walls of the T-shirt's box, at which picker and cloth stop."""
 
 
 class Task(NamedTuple):
@@ -82,8 +83,8 @@ class DaXBench(Environment):
         super().__init__(particles)
         self.options, self.task, self._count = options, task, particles
         self._name = f"daxbench-{task}"
-        python, repo = _installation(options, self._name)
-        self._command = [str(python), str(CHILD), task, str(repo)]
+        python, self._repo = installation(options, task)
+        self._command = [str(python), str(CHILD), task, str(self._repo)]
         self._process: Process | None = None
         self._frame: Frame | None = None
         self._shape = np.empty((0, 3), np.float32)
@@ -94,9 +95,8 @@ class DaXBench(Environment):
         """What DaXBench's own reset with a random seed gives, once it is at rest."""
         super().reset(seed=seed)
         if self._process is None or not self._process.running:
-            self._process = Process(self._command, self._name, self.options.timeout)
-            self._process.ask("start", _read_start(self.task))
-        rest, cloud = self._process.ask("reset", _read_reset, seed=int(self.np_random.integers(2**31)))
+            self._process = self._start()
+        rest, cloud = self._process.ask("reset", self._read_reset, seed=int(self.np_random.integers(2**31)))
         self._frame = Frame.of(rest, TASKS[self.task].size)
         self._shape = self._world(cloud)
         # chosen on the undeformed object: one index is one material point whatever the seed
@@ -105,7 +105,14 @@ class DaXBench(Environment):
         self._spacing = float(np.median(cKDTree(lying).query(lying, k=2)[0][:, 1]))
         if TASKS[self.task].mode == PUSH:
             self.pusher_radius = _PUSHER_RADIUS * self._frame.scale
+        else:
+            wall = _CENTRE * self._frame.scale - _WALL_MARGIN
+            self.walls = (-wall, wall, -wall, wall)
         return self.particles(), {}
+
+    def check(self) -> None:
+        """Start DaXBench, as far as its modules, and end it again. Raises MissingError with what is missing."""
+        self._start().stop()
 
     def particles(self, shapes: np.ndarray | None = None) -> np.ndarray:
         """Particles of clouds [..., P, 3] (m; by default the current one), float32 [..., N, 3] (m)."""
@@ -182,8 +189,9 @@ class DaXBench(Environment):
     def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         if mode == PUSH:
             return super().keeps_reach(start, end, mode)
-        assert self._frame is not None
-        return bool((np.abs(end) <= _CENTRE * self._frame.scale - _BOX_MARGIN).all())
+        assert self.walls is not None
+        xmin, xmax, ymin, ymax = self.walls
+        return bool(xmin <= end[0] <= xmax and ymin <= end[1] <= ymax)
 
     def _world(self, points: np.ndarray) -> np.ndarray:
         assert self._frame is not None
@@ -194,30 +202,26 @@ class DaXBench(Environment):
             raise UsageError("DaXBench is not running", self._name, "reset the environment first")
         return self._process
 
+    def _start(self) -> Process:
+        process = Process(self._command, self._name, self.options.timeout)
+        process.ask("start", self._read_start)
+        return process
+
+    def _read_start(self, reply: dict[str, Any]) -> None:
+        if (reply["protocol"], reply["task"]) != (daxbench_child.PROTOCOL, self.task):
+            raise ValueError(f"it speaks protocol {str(reply['protocol'])[:20]} for {str(reply['task'])[:20]}")
+        self._refuse(reply)
+
+    def _read_reset(self, reply: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        self._refuse(reply)
+        return _read_reset(reply)
+
+    def _refuse(self, reply: dict[str, Any]) -> None:
+        if "problem" in reply:
+            raise problem(reply, self._command[0], self._repo, self._name)
+
     def _read_cloud(self, reply: dict[str, Any]) -> np.ndarray:
         return finite(whole(reply["particles"], self._shape.shape))
-
-
-def _installation(options: DaXBenchOptions, where: str) -> tuple[Path, Path]:
-    """The interpreter and the repository, as far as that can be told without starting them."""
-    if options.python is None or options.repo is None:
-        missing = "interpreter" if options.python is None else "repository"
-        flags = "--daxbench-python PATH and --daxbench-repo PATH"
-        raise MissingError(f"DaXBench's {missing} is not given", where, f"give {flags}; {HELP}")
-    if not options.python.is_file():
-        raise MissingError(f"{options.python} is no interpreter", where, f"--daxbench-python PATH; {HELP}")
-    if not (options.repo / "daxbench" / "core" / "envs").is_dir():
-        raise MissingError(f"{options.repo} is no DaXBench repository", where, f"--daxbench-repo PATH; {HELP}")
-    # a virtual environment's interpreter is a link that must not be followed
-    return options.python.absolute(), options.repo.resolve()
-
-
-def _read_start(task: str):
-    def read(reply: dict[str, Any]) -> None:
-        if (reply["protocol"], reply["task"]) != (daxbench_child.PROTOCOL, task):
-            raise ValueError(f"it speaks protocol {str(reply['protocol'])[:20]} for {str(reply['task'])[:20]}")
-
-    return read
 
 
 def _read_reset(reply: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:

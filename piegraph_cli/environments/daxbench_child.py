@@ -7,7 +7,7 @@ needs Python 3.9 or newer and imports nothing of piegraph, which that interprete
 from __future__ import annotations
 
 import base64
-import importlib
+import importlib.metadata
 import json
 import math
 import os
@@ -24,6 +24,8 @@ PROTOCOL = 1
 DTYPES = ("<f4", "<f8", "<i4", "<i8", "<u4")
 STILL = 2e-4
 """DaXBench's units of length that no particle moves by in one sub-action of an object at rest."""
+PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "gym", "optax", "opencv-python-headless", "trimesh")
+"""What DaXBench's two tasks import, by the names they are installed under."""
 _DRAWING = ("pyrender", "daxbench.core.engine.pyrender.py_render", "daxbench.core.engine.usdrender.mesh_usd")
 """Modules that open a display or need packages of their own; nothing is drawn here, so stand-ins do."""
 
@@ -112,8 +114,23 @@ def rebuild(like: Any, arrays: dict[str, Any], name: str = "") -> Any:
     return type(like)(*parts) if hasattr(like, "_fields") else type(like)(parts)
 
 
+def problem(error: Exception) -> dict[str, Any]:
+    """What keeps DaXBench from starting, with the versions that are found of what the bridge was tested with."""
+    traceback.print_exc()
+    found: dict[str, str | None] = {"python": ".".join(map(str, sys.version_info[:3]))}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = None
+    return {"problem": f"{type(error).__name__}: {error}", "found": found}
+
+
 class Simulation:
-    """One DaXBench environment and its state; points [x, y, z] in DaXBench's frame (y up) and units."""
+    """One DaXBench environment and its state; points [x, y, z] in DaXBench's frame (y up) and units.
+
+    Made, it has imported what it needs; DaXBench's environment, which takes a minute for the rope, comes with a reset.
+    """
 
     def __init__(self, task: str, repo: str):
         self.task = TASKS[task]
@@ -124,13 +141,19 @@ class Simulation:
         sys.modules.update({name: MagicMock() for name in _DRAWING})
         module = importlib.import_module(f"{envs.__name__}.{self.task.module}")
         self.defaults = getattr(getattr(module, self.task.state), "_field_defaults", {})
-        self.env = getattr(module, self.task.environment)(batch_size=1, seed=0)
+        self.make = getattr(module, self.task.environment)
+        self.env: Any = None
         self.state: Any = None
 
     def reset(self, seed: int) -> dict[str, Any]:
-        """Start from a seed, at rest."""
+        """Start from a seed, at rest; or what keeps DaXBench from being there, see `problem`."""
         import numpy as np
 
+        if self.env is None:
+            try:
+                self.env = self.make(batch_size=1, seed=0)
+            except (ImportError, AttributeError, TypeError) as error:  # it is not what the bridge knows
+                return problem(error)
         for default in self.defaults.values():
             if isinstance(default, list):
                 default.clear()  # a list that all states share and every reset would make longer
@@ -198,8 +221,11 @@ def main(task: str, repo: str) -> None:
     os.dup2(2, 1)  # what libraries print must not get between the replies
     requests: queue.Queue = queue.Queue()
     threading.Thread(target=_listen, args=(requests,), daemon=True).start()
-    simulation = Simulation(task, repo)
-    reply = {"id": 0, "protocol": PROTOCOL, "task": task}
+    reply: dict[str, Any] = {"id": 0, "protocol": PROTOCOL, "task": task}
+    try:
+        simulation = Simulation(task, repo)
+    except Exception as error:
+        reply |= problem(error)
     while True:
         replies.write(json.dumps(reply) + "\n")
         replies.flush()

@@ -79,7 +79,7 @@ class Process:
                 reply = self._parse(self._exchange(request if self._number else b""))
                 return read(reply)
             except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise _Broken(f"sent a broken message ({_clean(str(error))[:200]})") from None
+                raise _Broken(f"sent a broken message ({clean(str(error))[:200]})") from None
         except _Broken as broken:
             raise self._failure(broken, do) from None
         except BaseException:
@@ -140,11 +140,13 @@ class Process:
             fate = f"exit code {code}" if code >= 0 else f"killed by signal {-code}, {signal.strsignal(-code)}"
         size = os.fstat(self._log.fileno()).st_size
         tail = os.pread(self._log.fileno(), 4000, max(0, size - 4000)).decode(errors="replace")
-        lines = [f"    {_clean(line)}" for line in tail.splitlines() if line.strip()][-_TAIL_LINES:]
+        lines = [f"    {clean(line)}" for line in tail.splitlines() if line.strip()][-_TAIL_LINES:]
         self.stop()
         last = "\n".join(["; its last words:", *lines]) if lines else "; it wrote no message"
-        hint = f"run again, with a larger timeout if it was only slow; {HELP}"
-        return DataError(f"the DaXBench process {what} in {do!r}: {fate}{last}", self._where, hint)
+        hint = "run again, with a larger timeout if it was only slow"
+        if do == "start":
+            hint = "give --daxbench-python the Python of a virtual environment with DaXBench's packages"
+        return DataError(f"the DaXBench process {what} in {do!r}: {fate}{last}", self._where, f"{hint}; {HELP}")
 
 
 class _Broken(Exception):
@@ -164,7 +166,7 @@ def _stop(process: subprocess.Popen, log: IO[bytes]) -> None:
             pipe.close()
 
 
-def _clean(text: str) -> str:
+def clean(text: str) -> str:
     """Text of unknown origin without what a terminal would obey."""
     return "".join(c if c.isprintable() else " " for c in text)
 

@@ -16,6 +16,7 @@ def _spaced(value: object) -> object:
 EnvironmentName = Literal[
     "tblock", "rope-stiff", "rope-bendy", "tshirt", "cloth", "toy", "daxbench-rope", "daxbench-tshirt"
 ]
+TaskName = Literal[EnvironmentName, "tshirt:crumpled", "cloth:crumpled"]
 ENVIRONMENT_HELP: dict[str, str] = {
     "tblock": "a rigid T-shaped block, pushed (Pymunk)",
     "rope-stiff": "a rope that hardly bends, pushed (MuJoCo)",
@@ -29,8 +30,15 @@ ENVIRONMENT_HELP: dict[str, str] = {
 """What each environment is, in a line."""
 ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
 Numbers3 = Annotated[tuple[float, float, float], BeforeValidator(_spaced)]
+Tasks = Annotated[tuple[TaskName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 EnvironmentSettings = Annotated[dict[str, float | str], BeforeValidator(split_pairs)]
+
+
+def split_task(task: str) -> tuple[str, dict[str, str]]:
+    """The environment of a task, and the option that asks for its kind of goals: `tshirt:crumpled` has crumpled ones."""
+    environment, _, goals = task.partition(":")
+    return environment, {"goal": goals} if goals else {}
 
 
 class TBlockOptions(Params):
@@ -82,6 +90,10 @@ class ToyOptions(Params):
     friction: float = Field(0.6, ge=0, description="Coulomb coefficient with table and pusher")
 
 
+VARIABLES = {"python": "PIEGRAPH_DAXBENCH_PYTHON", "repo": "PIEGRAPH_DAXBENCH_REPO"}
+"""Of the shell, that name what runs DaXBench where its options are not given."""
+
+
 class DaXBenchOptions(Params):
     """An environment of DaXBench, run by an interpreter of its own (docs/daxbench.md)."""
 
@@ -96,8 +108,12 @@ class EnvironmentParams(Params):
     options: EnvironmentSettings = Field(
         {}, description="options of the environment: NAME=VALUE,... (docs/environments.md)"
     )
-    daxbench_python: Path | None = Field(None, description="interpreter for daxbench-* (docs/daxbench.md)")
-    daxbench_repo: Path | None = Field(None, description="DaXBench repository for daxbench-*")
+    daxbench_python: Path | None = Field(
+        None, description=f"interpreter for daxbench-* [default: ${VARIABLES['python']}]"
+    )
+    daxbench_repo: Path | None = Field(
+        None, description=f"DaXBench repository for daxbench-* [default: ${VARIABLES['repo']}]"
+    )
 
     def content(self) -> dict[str, Any]:
         """As for all settings, without what runs DaXBench and how long it is waited for."""

@@ -59,6 +59,20 @@ def loss_figure(curves: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], lab
     return figure
 
 
+def reliability_figure(rows: Sequence[dict[str, Any]]) -> Figure:
+    """Real over expected errors (cm) of the bins of `reliability`'s rows at one horizon; calibrated ones lie on the line."""
+    figure = Figure(figsize=(4.2, 2.9), layout="constrained")
+    axes = figure.subplots()
+    for row in rows:
+        expected, errors = 100 * np.array([[of["expected"], of["error"]] for of in row["bins"]]).T
+        model = row["model"]
+        axes.plot(expected, errors, color=model_color(model), marker=model_marker(model), ms=5, lw=1.2, label=model)
+    top = max(*axes.get_xlim(), *axes.get_ylim())
+    axes.plot([0, top], [0, top], ":", color="black", lw=1)
+    axes.set(xlabel="expected error [cm]", ylabel="real error [cm]", xlim=(0, top), ylim=(0, top))
+    return figure
+
+
 def error_figure(rows: Sequence[dict[str, Any]], metric: str) -> Figure:
     """A metric over the horizon for each model of `summarise`'s rows, side by side; bars are 95 % intervals."""
     figure = Figure(figsize=(4.2, 2.9), layout="constrained")

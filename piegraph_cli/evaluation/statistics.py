@@ -58,6 +58,17 @@ def cliffs_delta_paired(
     return float(signs.mean()), float(low), float(high)
 
 
+def verdict(gain: tuple[float, float, float]) -> str:
+    """`better`, `worse` or `level` of a gain (mean, low, high): whether its interval lies above zero, below, or around it.
+
+    Empty where there is no interval.
+    """
+    _, low, high = gain
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return ""
+    return "better" if low > 0 else "worse" if high < 0 else "level"
+
+
 def _signs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """[n, m] 1 where the first value is smaller, -1 where it is larger, 0 for a tie."""
     a, b = np.asarray(first, float)[:, None], np.asarray(second, float)

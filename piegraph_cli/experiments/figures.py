@@ -30,7 +30,8 @@ def draw(params: ExperimentParams, results: Results) -> Iterator[tuple[str, Figu
         yield "boxes", trial_figures.box_figure(trials, compared, min(limits), params.trials.strokes)
         yield "success", trial_figures.success_figure(trials, limits, params.trials.strokes)
         yield "distance", trial_figures.distance_figure(trials, params.trials.strokes)
-        yield "overlays", overlay_figure(results.shown)
+        if results.shown:
+            yield "overlays", overlay_figure(results.shown)
 
 
 def error_grid(metrics: dict[str, Metrics]) -> Figure:
@@ -85,7 +86,7 @@ def interaction_figure(metrics: dict[str, Metrics]) -> Figure:
 
 
 def overlay_figure(shown: dict[str, dict[str, Artifact]]) -> Figure:
-    """One task per environment: the start, then what each model led to, over the goal in red.
+    """One goal and start per row: the start, then what each model led to under the goal in red, with PD and strokes.
 
     Source: paper, figure "Simulated Planning Results (Qualitative)".
     """

@@ -1,29 +1,35 @@
-"""Strokes that others measured in one file, as files for `import`: a sequence of two frames each."""
+"""Strokes that others measured in one file, as files for `import`: a sequence of two frames each; and an outline."""
 
 import io
+import os
 from pathlib import Path
 
 import numpy as np
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.files import atomic_file
+from piegraph_cli.recording.outline import checked_outline
 from piegraph_cli.recording.points import read_arrays
 
 NAMES = ("before", "after", "start", "end")
 HEIGHT = 0.01
 """Metres above the table of what was measured in the plane."""
 NEEDED = "before and after [S, N, 2 or 3], start and end [S, 2 or 3], metres"
+OUTLINE = "outline"
+"""Array of corners [K, 2] (m) that a file may have, and the variant of `rigid` that is given it."""
 
 
 def write_strokes(file: Path | None, folder: Path) -> None:
     """Write each stroke of `file` into `folder`: particles `before` and `after` it, `start` and `end` of the pusher.
 
     Raises `UsageError` without a file and `DataError` for one that lacks something. Files that are there stay where they
-    hold the same, so that what was made of them stays fresh; those of strokes that `file` lacks go.
+    hold the same, so that what was made of them stays fresh; those of strokes that `file` lacks go. An outline that it has
+    is written beside the folder.
     """
     if file is None:
         raise UsageError("whose strokes?", "pushes", f"--data FILE.npz with {NEEDED}")
-    arrays = read_arrays(file, NAMES)
+    arrays = read_arrays(file, (*NAMES, OUTLINE))
     missing = [name for name in NAMES if name not in arrays]
     if missing:
         raise DataError(f"no array {missing[0]}", str(file), f"an .npz of {NEEDED}")
@@ -33,21 +39,45 @@ def write_strokes(file: Path | None, folder: Path) -> None:
     if not len(before):
         raise DataError("holds no stroke", str(file), f"an .npz of {NEEDED}")
     for number in range(len(before)):
-        path, stream = folder / f"{number:05d}.npz", io.BytesIO()
-        np.savez(
-            stream,
+        _write(
+            folder / f"{number:05d}.npz",
             particles=np.stack([before[number], after[number]]),
             end_effector=np.stack([start[number], end[number]]),
             times=np.array([0.0, 1.0]),
             contact=np.array([1, 1]),
         )
-        if path.is_file() and path.read_bytes() == stream.getvalue():
-            continue
-        with atomic_file(path) as temporary:
-            temporary.write_bytes(stream.getvalue())
     for path in folder.glob("[0-9][0-9][0-9][0-9][0-9].npz"):
         if int(path.stem) >= len(before):
             path.unlink()
+    if OUTLINE in arrays:
+        _write(_outline_beside(folder), outline=checked_outline(arrays[OUTLINE], str(file)))
+    else:
+        _outline_beside(folder).unlink(missing_ok=True)
+
+
+def with_outline(params: ExperimentParams, folder: Path) -> ExperimentParams:
+    """The experiment with `rigid:outline`, a row beside `rigid`, where strokes in `folder` have an outline beside them."""
+    file = _outline_beside(folder)
+    if "rigid" not in params.models or not file.is_file():
+        return params
+    label = f"rigid:{OUTLINE}"
+    models = [name for model in params.models for name in ((model, label) if model == "rigid" else (model,))]
+    variants = params.variants | {label: {"outline": os.path.realpath(file)}}
+    return params.model_copy(update={"models": tuple(dict.fromkeys(models)), "variants": variants})
+
+
+def _outline_beside(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}-{OUTLINE}.npz")
+
+
+def _write(path: Path, **arrays: np.ndarray) -> None:
+    """An .npz of arrays; one that holds the same stays as it is."""
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
+    if path.is_file() and path.read_bytes() == stream.getvalue():
+        return
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(stream.getvalue())
 
 
 def _in_space(array: np.ndarray, name: str, file: Path) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from piegraph_cli.dynamics.params import Labels, trained_label
-from piegraph_cli.environments.params import EnvironmentName, Environments
+from piegraph_cli.environments.params import EnvironmentName, Environments, Tasks
 from piegraph_cli.params import Counts, Params, Thresholds
 from piegraph_cli.planning.params import TrialLabels
 
@@ -23,6 +23,10 @@ class ExperimentTrials(Params):
     strokes: int = Field(ge=1, description="most strokes in one trial")
     thresholds: Thresholds = Field((0.02, 0.03, 0.05, 0.1), description="distances that count as success [m]")
     plan: dict[str, Any] = Field({}, description="settings of `plan` in place of the recipes'")
+    fixed_goals: bool = Field(False, description="as `trials.fixed_goals`")
+    tasks: dict[EnvironmentName, Tasks] = Field(
+        {}, description="rows of an environment, as `trials.envs`: by default one"
+    )
 
 
 class ExperimentParams(Params):
@@ -76,6 +80,11 @@ class ExperimentParams(Params):
         return [_on(model, count) for count in counts for model in models if trained_label(model)] + [
             model for model in models if not trained_label(model)
         ]
+
+    def tasks(self, environment: str) -> tuple[str, ...]:
+        """The rows of an environment's trials: itself, where it has no others."""
+        assert self.trials is not None
+        return self.trials.tasks.get(environment, (environment,))  # type: ignore[call-overload]
 
     def trial_labels(self, environment: str) -> list[str]:
         """The models that plan in an environment."""

@@ -6,10 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from piegraph_cli.dynamics.params import BY_GRADIENT, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TrainParams, split_label, trained_label
 from piegraph_cli.errors import UsageError
 from piegraph_cli.experiments.params import MEASURED, ExperimentParams
-from piegraph_cli.params import validated
+from piegraph_cli.params import Params, validated
+from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import SHIPPED, Recipe, load_recipe
 
@@ -45,7 +46,37 @@ def load_experiment(
         values["interactions"] = {env: counts for env, counts in has.items() if env in environments}
         if not values["interactions"]:
             raise UsageError(f"{name} is not done for {', '.join(environments)}", hint=f"of {', '.join(has)}")
-    return validated(ExperimentParams, values, name, str(path), "correct the experiment")
+    params = validated(ExperimentParams, values, name, str(path), HINT)
+    check_names(params, str(path))
+    return params
+
+
+HINT = "correct the experiment"
+
+
+def check_names(params: ExperimentParams, where: str) -> None:
+    """Raises `UsageError` for a model, a variant or a setting that nothing knows: before an hour is spent."""
+    for key, settings in params.variants.items():
+        name, _, variant = key.partition(":")
+        if name not in LEARNED or not variant:
+            known = f"MODEL:VARIANT, with one of {', '.join(LEARNED)}"
+            raise UsageError(f'variants."{key}" is no variant of a model that learns', where, known)
+        validated(LEARNED[name], LEARNED[name]().model_dump() | settings, f'variants."{key}"', where, HINT)
+    for environment in params.interactions:
+        labels = params.labels(environment)
+        for label in [*labels, *(params.trial_labels(environment) if params.trials else ())]:
+            name, variant, _ = split_label(trained_label(label) or label)
+            if variant and f"{name}:{variant}" not in params.variants:
+                raise UsageError(f'no variants."{name}:{variant}", which {label} is', where, HINT)
+        trained = {trained_label(label) for label in labels}
+        for label in params.trial_labels(environment) if params.trials else ():
+            own = trained_label(label)
+            if own and own not in trained:
+                raise UsageError(
+                    f"trials.models: {label} plans with {own}, which is not trained", where, "add it to models"
+                )
+    if params.trials:
+        validated(PlanParams, params.trials.plan, "trials.plan", where, HINT)
 
 
 def with_changes(values: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
@@ -105,6 +136,37 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
     return recipe
 
 
+UNTOLD = {"sources", "recording"}
+"""Settings that name files."""
+
+
+def _told(params: Params) -> dict[str, Any]:
+    """What results depend on of settings, but for files."""
+    files = UNTOLD | params.files().keys()
+    return {name: value for name, value in params.content().items() if name not in files}
+
+
+def in_force(recipe: Recipe, label: str) -> dict[str, dict[str, Any]]:
+    """The settings, by stage, that a model's predictions depend on."""
+    found = {stage.name: _told(recipe.params(stage)) for stage in recipe.chain() if stage.name != "plan"}
+    train, own = recipe.params(STAGES["train"]), trained_label(label)
+    assert isinstance(train, TrainParams)
+    del found["train"], found["evaluate"]["models"]
+    return found | ({"train": train.of(own).content()} if own else {})
+
+
+def trials_in_force(params: ExperimentParams, environment: str) -> dict[str, dict[str, Any]]:
+    """The settings that the trials of all models of an environment share."""
+    assert params.trials is not None
+    trials = params.trials.model_dump(mode="json", exclude={"models", "tasks"})
+    plan = _told(recipe_of(params, environment, None).params(STAGES["plan"])) | trials.pop("plan")
+    return {"trials": trials, "plan": {name: value for name, value in plan.items() if name not in OF_GRID}}
+
+
+OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "fixed_goals", "seed"}
+"""Settings of `plan` that the grid of trials gives."""
+
+
 def recording_of(params: ExperimentParams, environment: str, folder: Path) -> Path | None:
     """Where what an environment's run reads lies under the experiment's folder; None where it simulates itself."""
     return folder / "recordings" / environment if params.recordings or environment == MEASURED else None
@@ -121,8 +183,8 @@ def _repeats(label: str, labels: Sequence[str], train: TrainParams) -> bool:
 def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Recipe:
     """The grid of trials of an experiment in one environment."""
     assert params.trials is not None
-    values = params.trials.model_dump(mode="json") | {
-        "envs": [environment],
+    values = params.trials.model_dump(mode="json", exclude={"tasks"}) | {
+        "envs": params.tasks(environment),
         "models": params.trial_labels(environment),
         "trained": str(folder.resolve()),
     }

@@ -5,22 +5,72 @@ from typing import Any
 
 import numpy as np
 
+from piegraph_cli.environments.params import split_task
+from piegraph_cli.evaluation.statistics import verdict
 from piegraph_cli.evaluation.tables import Metrics, difference, interval, sequence_means, summarise
 from piegraph_cli.evaluation.trials import Trial, compare_trials, summarise_trials, trial_lines
+from piegraph_cli.experiments.budget import budget_lines, budget_rows, hours
 from piegraph_cli.experiments.params import ExperimentParams
-from piegraph_cli.experiments.results import Results
+from piegraph_cli.experiments.pieces import Piece
+from piegraph_cli.experiments.results import NOT_MEASURED, Results
+from piegraph_cli.experiments.search import search_lines, search_rows
 
 
-def describe(params: ExperimentParams, results: Results) -> tuple[dict[str, Any], list[str]]:
-    """The experiment's results as one object and as lines for people."""
+def describe(
+    params: ExperimentParams, results: Results, kept: Sequence[Piece] = ()
+) -> tuple[dict[str, Any], list[str]]:
+    """The experiment's results as one object and as lines for people; `kept` pieces say how much was searched."""
     value: dict[str, Any] = {"title": params.title, "seeds": list(params.seeds)}
-    lines = [params.title, ""]
+    lines = [params.title, "", *origin_lines(results.pieces)]
     if params.table == "search":
         value["search"] = search_rows(results)
-        return value, lines + search_lines(value["search"])
+        lines += search_lines(params, value["search"])
+    else:
+        lines += _measured(params, results, value)
+    value["budget"] = budget_rows(results, kept)
+    value["empty"] = [vars(empty) for empty in results.empty]
+    return value, [*lines, *budget_lines(value["budget"]), *empty_lines(results)]
+
+
+def origin_lines(pieces: Sequence[Piece]) -> list[str]:
+    """When, on which machine, by which versions of the stages and by which commands figures were made."""
+    if not pieces:
+        return []
+    dates = sorted({d for p in pieces for d in (p.made.date, p.training.made.date if p.training else "") if d})
+    machines = sorted({m for p in pieces for m in p.made.machine.split("; ") if m})
+    versions: dict[str, set[int]] = {}
+    for piece in pieces:
+        for stage, version in piece.versions.items():
+            versions.setdefault(stage, set()).add(version)
+    software = sorted({s for p in pieces for s in p.made.software.split("; ") if s})
+    stages = [f"{stage} {', '.join(map(str, sorted(of)))}" for stage, of in versions.items()]
+    taken = hours(pieces)
+    commands = sorted({p.command for p in pieces if p.command})
+    return [
+        f"{' to '.join(dict.fromkeys([dates[0], dates[-1]])) if dates else 'no date'}; "
+        f"{'; '.join(machines) or 'no machine is known'}",
+        f"{', '.join(software)}; versions: {', '.join(stages)}",
+        *([] if taken is None else [f"{taken:.1f} hours of one core"]),
+        *commands,
+        "",
+    ]
+
+
+def empty_lines(results: Results) -> list[str]:
+    """Which rows are empty, and why; those of one reason together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for empty in results.empty:
+        reason = f"{'trials ' if empty.trials and empty.reason == NOT_MEASURED else ''}{empty.reason}"
+        found.setdefault((empty.environment, reason), []).append(empty.model)
+    lines = [f"{env}: {', '.join(models)}: {reason}" for (env, reason), models in found.items()]
+    return ["", "Rows that are left empty", *lines] if lines else []
+
+
+def _measured(params: ExperimentParams, results: Results, value: dict[str, Any]) -> list[str]:
+    """The tables of predictions and trials: put into `value`, and as lines."""
     metrics = plain_metrics(params, results)
-    value["predictions"] = [{"environment": env} | row for env, of in metrics.items() for row in summarise(of)]
-    lines += prediction_lines(value["predictions"])
+    value["predictions"] = prediction_rows(params, results)
+    lines = prediction_lines(value["predictions"])
     value["guidance"] = guidance_rows(metrics)
     if value["guidance"]:
         lines += ["", *guidance_lines(value["guidance"])]
@@ -41,7 +91,21 @@ def describe(params: ExperimentParams, results: Results) -> tuple[dict[str, Any]
         )
         value["trials"], value["cliffs_delta"] = rows, compared
         lines += ["", *trial_lines(rows, compared, params.trials.strokes)]
-    return value, lines
+    return lines
+
+
+def prediction_rows(params: ExperimentParams, results: Results) -> list[dict[str, Any]]:
+    """Errors per environment, horizon and model, with the number of windows that they are means over."""
+    windows = {
+        (env, _plain(params, env, model)): seeds[0].windows
+        for env, of in results.metrics.items()
+        for model, seeds in of.items()
+    }
+    return [
+        {"environment": env} | row | {"windows": windows[env, row["model"]][row["horizon"]]}
+        for env, of in plain_metrics(params, results).items()
+        for row in summarise(of)
+    ]
 
 
 def plain_metrics(params: ExperimentParams, results: Results) -> dict[str, Metrics]:
@@ -61,7 +125,8 @@ def plain_trials(params: ExperimentParams, trials: Sequence[Trial]) -> list[Tria
     ]
 
 
-def _plain(params: ExperimentParams, environment: str, label: str) -> str:
+def _plain(params: ExperimentParams, task: str, label: str) -> str:
+    environment = split_task(task)[0]
     return label.partition("@")[0] if len(params.interactions[environment]) == 1 else label  # type: ignore[index]
 
 
@@ -117,7 +182,8 @@ def against_rows(metrics: dict[str, Metrics]) -> list[dict[str, Any]]:
             "environment": env,
             "model": model,
             "horizon": max(_horizons(of)),
-            "pd": difference(of, "piegraph", model, "pd", max(_horizons(of))),
+            "pd": (found := difference(of, "piegraph", model, "pd", max(_horizons(of)))),
+            "verdict": verdict(found),
         }
         for env, of in metrics.items()
         for model in of
@@ -128,10 +194,15 @@ def against_rows(metrics: dict[str, Metrics]) -> list[dict[str, Any]]:
 def against_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
     """`against_rows` for people."""
     lines = ["PD less that of piegraph, paired by seed and sequence (above 0: piegraph is nearer)"]
-    lines += [f"{'environment':12s} {'H':>2s} {'model':20s} {'PD [cm]':>24s}"]
-    return lines + [
-        f"{r['environment']:12s} {r['horizon']:2d} {r['model']:20s} {interval(r['pd'], '+'):>24s}" for r in rows
+    lines += [f"{'environment':12s} {'H':>2s} {'model':20s} {'PD [cm]':>24s}  piegraph is"]
+    lines += [
+        f"{r['environment']:12s} {r['horizon']:2d} {r['model']:20s} {interval(r['pd'], '+'):>24s}  {r['verdict']}"
+        for r in rows
     ]
+    for env in dict.fromkeys(r["environment"] for r in rows):
+        behind = [r["model"] for r in rows if r["environment"] == env and r["verdict"] == "worse"]
+        lines.append(f"{env}: {'behind ' + ', '.join(behind) if behind else 'first or level against all of these'}")
+    return lines
 
 
 def loss_rows(metrics: dict[str, Metrics]) -> list[dict[str, Any]]:
@@ -191,26 +262,6 @@ def paper_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
             f"{row['environment']:12s} {row['horizon']:2d} {ours:>16s} {paper:>16s} {a / b:12.2f} {c / d:12.2f}"
         )
     return lines
-
-
-def search_rows(results: Results) -> list[dict[str, Any]]:
-    """The lowest validation loss of every variant of every model, the best ones marked."""
-    rows = []
-    for env, of in results.models.items():
-        found = {label: float(np.mean([np.nanmin(m["validation_loss"]) for m in seeds])) for label, seeds in of.items()}
-        names = {label: label.partition("@")[0].partition(":")[0] for label in found}
-        for label, loss in found.items():
-            rivals = [found[other] for other in found if names[other] == names[label]]
-            rows.append({"environment": env, "model": label, "loss": loss, "best": loss <= min(rivals)})
-    return rows
-
-
-def search_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """`search_rows` for people."""
-    lines = [f"{'environment':12s} {'model':28s} {'validation loss':>16s}"]
-    return lines + [
-        f"{r['environment']:12s} {r['model']:28s} {r['loss']:16.5f}{' *' if r['best'] else ''}" for r in rows
-    ]
 
 
 def _horizons(of: Metrics) -> list[int]:

@@ -1,5 +1,7 @@
 """What `reproduce` tells programs with `--json`, as models; docs/json.md is made from them."""
 
+from typing import Literal
+
 from pydantic import Field, RootModel
 
 from piegraph_cli.stages.results import Delta, Error, Errors, Interval, Number, Result, Trials
@@ -30,6 +32,8 @@ class Against(Result):
     horizon: int
     pd: Interval
     """[cm]."""
+    verdict: Literal["better", "level", "worse", ""]
+    """What piegraph is, by the interval; empty where there is none."""
 
 
 class Loss(Result):
@@ -63,6 +67,35 @@ class Searched(Result):
     best: bool
 
 
+class Budget(Result):
+    """What a model was given in one environment, means over seeds."""
+
+    environment: str
+    model: str
+    candidates: int | None
+    """Of the search; `null` where it was not done."""
+    steps: float
+    parameters: int
+    minutes: Number
+    """Of the processor, for one training."""
+    candidates_per_plan: int | None
+    """At most."""
+    trial_minutes: Number
+    """Of the processor, for all its trials."""
+
+
+class Empty(Result):
+    """A row that is left empty."""
+
+    environment: str
+    model: str
+    reason: str
+    tried: bool
+    """Whether it was done, and failed or did not learn."""
+    trials: bool
+    """Whether trials lack, not predictions."""
+
+
 class Experiment(Result):
     """The tables of an experiment; those that it has not are left out."""
 
@@ -76,6 +109,10 @@ class Experiment(Result):
     paper: list[Paper] | None = None
     trials: list[Trials] | None = None
     cliffs_delta: list[Delta] | None = None
+    budget: list[Budget]
+    empty: list[Empty]
+    left: int
+    """Pieces that were not begun since `--hours` were over."""
     pictures: list[str]
     failed: list[Error]
 

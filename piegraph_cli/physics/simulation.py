@@ -1,4 +1,4 @@
-"""The spring-mass system in motion: guidance to a setpoint and a pusher's stroke, readable and differentiable.
+"""The spring-mass system in motion: guidance to a setpoint, readable and differentiable; a pusher's stroke is in `pushing`.
 
 This is the reference in PyTorch, for any float type and any batch; it knows nothing of clouds or networks.
 Everything is dimensionless in time: a velocity is the displacement per iteration (m), a stiffness is α = k dt²/m,
@@ -9,7 +9,6 @@ for one state and for hundreds.
 
 import math
 import warnings
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,24 +22,6 @@ from piegraph_cli.physics.springs import SpringGraph, stability_bound
 CHUNK = 128  # candidates simulated together, so that the arrays of their springs stay in the cache
 CHECK_EVERY = 10  # iterations between two tests for convergence
 SHORTEST = 1e-6  # metres; below it a spring has no direction worth a force
-
-
-@dataclass(frozen=True)
-class PushParams:
-    """A spring object on a table, pushed by an upright disc or held by a hand. Numbers may be tensors with a gradient."""
-
-    stiffness: float | Tensor = 0.15
-    """α = k dt²/m of every spring, dimensionless."""
-    damping: float | Tensor = 0.8
-    """δ, the share of a velocity kept per iteration, dimensionless, in (0, 1]."""
-    friction: float | Tensor = 0.0
-    """Coulomb coefficient of the table, dimensionless; acts on what presses down, so it needs `gravity`."""
-    gravity: float | Tensor = 0.0
-    """g dt², metres per iteration squared."""
-    radius: float | Tensor = 0.01
-    """Radius of the pusher, metres. It slips between particles further apart than its width: add half their spacing."""
-    tension_only: bool = False
-    """Springs pull but never push, as in cloth."""
 
 
 class _Product(torch.autograd.Function):
@@ -99,7 +80,7 @@ class _Springs:
 
 
 @lru_cache(maxsize=32)
-def _springs(graph: SpringGraph, dtype: torch.dtype, device: torch.device) -> _Springs:
+def springs_of(graph: SpringGraph, dtype: torch.dtype, device: torch.device) -> _Springs:
     with torch.inference_mode(False):  # the cache serves callers that need gradients too
         return _Springs(graph, dtype, device)
 
@@ -117,17 +98,6 @@ def _move(positions: Tensor, velocity: Tensor, friction: float | Tensor) -> tupl
         correction = torch.cat([stop, lift[:, None]], dim=1)
         moved = free + correction
     return moved, velocity + correction
-
-
-def _keep_out(positions: Tensor, velocity: Tensor, centre: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Move particles [N, 3, B] inside the upright cylinder at centre [2, B] out to its wall, the shortest way."""
-    offset = positions[:, :2] - centre
-    middle = offset.abs().amax(1) < SHORTEST  # no way out is the shortest there: take the one along x
-    offset = offset + SHORTEST * torch.stack([middle, torch.zeros_like(middle)], dim=1)
-    distance = (offset * offset).sum(1).clamp_min(SHORTEST**2).sqrt()
-    out = torch.where((distance < radius)[:, None], offset * (radius / distance - 1)[:, None], 0.0)
-    correction = torch.cat([out, torch.zeros_like(out[:, :1])], dim=1)
-    return positions + correction, velocity + correction
 
 
 def guide(
@@ -160,7 +130,7 @@ def _guide_chunk(
     positions: Tensor, setpoint: Tensor, weights: Tensor, graph: SpringGraph, params: GuidanceParams
 ) -> Tensor:
     x, target = (a.permute(1, 2, 0).contiguous() for a in (positions, setpoint))
-    springs = _springs(graph, x.dtype, x.device)
+    springs = springs_of(graph, x.dtype, x.device)
     moved, _ = _drive(x, torch.zeros_like(x), target, weights.t()[:, None], springs, params)
     return moved.permute(2, 0, 1).contiguous()
 
@@ -172,7 +142,7 @@ def drive(
 
     weights: [N]. Checks nothing, since it is called often: call `check_stability` once before.
     """
-    springs = _springs(graph, positions.dtype, positions.device)
+    springs = springs_of(graph, positions.dtype, positions.device)
     state, speed, target = (a[..., None] for a in (positions, velocity, setpoint))
     x, v = _drive(state, speed, target, weights[:, None, None], springs, params)
     return x[..., 0], v[..., 0]
@@ -204,43 +174,6 @@ def _drive(
     return x, velocity
 
 
-def push(
-    positions: Tensor,
-    path: Tensor,
-    graph: SpringGraph,
-    params: PushParams = PushParams(),
-    held: Tensor | None = None,
-) -> Tensor:
-    """Push a spring object with an upright disc that no particle enters, one iteration per point of its path.
-
-    positions: [B, N, 3] metres, at rest; path: [B, T, 2] metres, centre of the disc per iteration: repeat the last one
-    to let the object come to rest. held: [B, N] bool, particles that a hand holds and carries along the path at their
-    height; where a scene has any, there is no disc in it. Returns [B, N, 3]. Differentiable, also in the numbers of
-    `params`. Raises UsageError for an unstable stiffness (with the bound) or a path that moves further than the disc's
-    radius in one iteration, which would jump over particles.
-    Source: paper, Eq. 3, with contact as the external force (baselines SMS).
-    """
-    check_push(positions, path, graph, params)
-    springs = _springs(graph, positions.dtype, positions.device)
-    x = positions.permute(1, 2, 0).contiguous()
-    velocity = torch.zeros_like(x)
-    weight = torch.zeros(3, 1, dtype=x.dtype, device=x.device)
-    weight = weight + torch.tensor([[0.0], [0.0], [1.0]], dtype=x.dtype, device=x.device) * params.gravity
-    grip = None if held is None else held.t()[:, None]
-    radius = params.radius if held is None else params.radius * ~held.any(1)
-    last = path[:, 0].t()
-    for centre in path.permute(1, 2, 0):
-        before = x
-        velocity = params.damping * (velocity + springs.acceleration(x, params.stiffness, params.tension_only) - weight)
-        x, velocity = _move(x, velocity, params.friction)
-        x, velocity = _keep_out(x, velocity, centre, radius)
-        if grip is not None:
-            carried = before + torch.nn.functional.pad(centre - last, (0, 0, 0, 1))
-            x, velocity = torch.where(grip, carried, x), torch.where(grip, 0.0, velocity)
-        last = centre
-    return x.permute(2, 0, 1).contiguous()
-
-
 def _speed(velocity: Tensor) -> float:
     """Largest displacement of a particle [N, 3, B] per iteration, metres."""
     return float((velocity.detach() ** 2).sum(1).max().sqrt())
@@ -251,7 +184,7 @@ def _finite(values: Tensor) -> bool:
     return math.isfinite(float(values.detach().sum()))
 
 
-def _check_state(positions: Tensor, graph: SpringGraph) -> None:
+def check_state(positions: Tensor, graph: SpringGraph) -> None:
     if positions.shape[-2:] != (graph.particles, 3) or not _finite(positions):
         raise DataError(f"positions {tuple(positions.shape)} for {graph.particles} particles: unequal or not finite")
 
@@ -260,7 +193,7 @@ def check_guidance(
     positions: Tensor, setpoint: Tensor, graph: SpringGraph, params: GuidanceParams, weights: Tensor | None
 ) -> None:
     """Refuse what `guide` cannot work with: see there."""
-    _check_state(positions, graph)
+    check_state(positions, graph)
     if setpoint.shape != positions.shape or not _finite(setpoint):
         raise DataError(
             f"setpoint {tuple(setpoint.shape)} for positions {tuple(positions.shape)}: unequal or not finite"
@@ -268,22 +201,7 @@ def check_guidance(
     check_stability(graph, params, 1.0 if weights is None else float(weights.detach().max()))
 
 
-def check_push(positions: Tensor, path: Tensor, graph: SpringGraph, params: PushParams) -> list[float]:
-    """Refuse what `push` cannot work with: see there. Returns stiffness, damping, friction, gravity, radius as numbers."""
-    _check_state(positions, graph)
-    given = (params.stiffness, params.damping, params.friction, params.gravity, params.radius)
-    numbers = [float(torch.as_tensor(value).detach()) for value in given]
-    stride = float((path[:, 1:] - path[:, :-1]).norm(dim=-1).max()) if path.shape[1] > 1 else 0.0
-    if stride > numbers[4]:
-        raise UsageError(
-            f"the pusher moves {stride:.4f} m in one iteration, further than its radius of {numbers[4]:.4g} m",
-            hint="more iterations along the path",
-        )
-    _check_bound(graph, numbers[0], numbers[1], 0.0)
-    return numbers
-
-
-def _check_bound(graph: SpringGraph, stiffness: float, damping: float, gain: float) -> None:
+def check_bound(graph: SpringGraph, stiffness: float, damping: float, gain: float) -> None:
     bound = stability_bound(graph, damping, gain)
     if stiffness >= bound:
         raise UsageError(
@@ -296,7 +214,7 @@ def _check_bound(graph: SpringGraph, stiffness: float, damping: float, gain: flo
 def check_stability(graph: SpringGraph, params: GuidanceParams, largest_weight: float = 1.0) -> None:
     """Refuse gains and stiffness whose linear motion grows: paper, Eq. 3 with the PID force, mode by mode."""
     gain, integral, derivative = (largest_weight * g for g in (params.gain, params.integral, params.derivative))
-    _check_bound(graph, params.stiffness, params.damping, gain + integral / 2 + 2 * derivative)
+    check_bound(graph, params.stiffness, params.damping, gain + integral / 2 + 2 * derivative)
     if integral == 0:
         return
     kept = params.damping * (1 - derivative)

@@ -1,7 +1,7 @@
 """The spring-mass system as a kernel: guidance and a pusher's stroke, for many candidates at once.
 
-The truth is `physics.simulation`, in the same words; this holds to it within 1e-5 m and is tested so. A group of
-candidates stops when all of it is at rest, whatever the others do.
+The truth is `physics.simulation` and `physics.pushing`, in the same words; this holds to them within 1e-5 m and is tested so.
+A group of candidates stops when all of it is at rest, whatever the others do.
 """
 
 import functools
@@ -30,13 +30,8 @@ from piegraph_cli.kernels.lanes import (
 )
 from piegraph_cli.kernels.recorded import recording
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.simulation import (
-    CHECK_EVERY,
-    SHORTEST,
-    PushParams,
-    check_guidance,
-    check_push,
-)
+from piegraph_cli.physics.pushing import PushParams, check_push, clear
+from piegraph_cli.physics.simulation import CHECK_EVERY, SHORTEST, check_guidance
 from piegraph_cli.physics.springs import SpringGraph
 
 LANES = 32
@@ -61,11 +56,15 @@ class Springs:
     """[S] the other particle of each spring."""
     rest: wp.array(dtype=wp.float32)
     """[S] metres."""
+    wall: wp.array(dtype=wp.int32)
+    """[N + 1] where the segments of the contour begin that end in each."""
+    other: wp.array(dtype=wp.int32)
+    """[2 E] the other end of each."""
 
 
 @wp.struct
 class Numbers:
-    """`GuidanceParams` and `PushParams` as the kernels read them."""
+    """`GuidanceParams` as the kernels read them."""
 
     stiffness: wp.float32
     damping: wp.float32
@@ -74,7 +73,6 @@ class Numbers:
     integral: wp.float32
     integral_limit: wp.float32
     derivative: wp.float32
-    gravity: wp.float32
     iterations: wp.int32
     tolerance: wp.float32
 
@@ -101,8 +99,8 @@ class Stroke:
 
     path: wp.array3d(dtype=wp.float32)
     """[B, T, 2] metres."""
-    discs: wp.array3d(dtype=wp.float32)
-    """[B, 1, 1] radius, metres: none where a hand holds particles."""
+    numbers: wp.array3d(dtype=wp.float32)
+    """[B, 1, 6] of `check_push`; a radius of 0 where a hand holds particles."""
 
 
 @dataclass(frozen=True)
@@ -435,88 +433,154 @@ def _guide_blocks(terms: _Terms) -> wp.Kernel:
 
 
 @functools.cache
-def _pushed(lanes: int, terms: _Terms) -> tuple[type, wp.Function]:
-    """A disc or hand on its way, and what one iteration of it does with a particle."""
+def _pushed(lanes: int, held: bool) -> tuple[type, wp.Function, wp.Function, wp.Function]:
+    """A disc or hand on its way, and what one iteration of it does with a particle: moves it, touches it, puts it aside."""
     vec = vector(lanes)
     Body, _ = _bodies(lanes)
-    on_table = _table(lanes, terms.friction)
+    _, inverse_root, quotient = roots(lanes)
+    zero, one, tiny2 = vec(0.0), vec(1.0), vec(SHORTEST * SHORTEST)
 
     @wp.struct
     class Pusher:
+        stiffness: vec
+        damping: vec
+        friction: vec
         radius: vec
+        grip: vec
         x: vec
         y: vec
-        last_x: vec
-        last_y: vec
+        dx: vec
+        dy: vec
+        until: vec
+        goes_on: vec
 
     @wp.func
-    def keep_out(px: vec, py: vec, vx: vec, vy: vec, cx: vec, cy: vec, radius: vec):
-        """A particle inside the upright disc around (cx, cy) comes out to its wall, the shortest way."""
-        qx, qy, ux, uy = vec(), vec(), vec(), vec()
+    def sliding(vx: vec, vy: vec, friction: vec) -> vec:
+        """The share that Coulomb friction leaves of a planar velocity."""
+        r = vec()
         for k in range(lanes):
-            ox = px[k] - cx[k]
-            oy = py[k] - cy[k]
-            if wp.max(wp.abs(ox), wp.abs(oy)) < TINY:
-                ox += TINY
-            distance = wp.max(wp.sqrt(ox * ox + oy * oy), TINY)
-            out_of = wp.max(radius[k] / distance - 1.0, 0.0)
-            qx[k] = px[k] + ox * out_of
-            qy[k] = py[k] + oy * out_of
-            ux[k] = vx[k] + ox * out_of
-            uy[k] = vy[k] + oy * out_of
-        return qx, qy, ux, uy
+            speed = wp.sqrt(wp.max(vx[k] * vx[k] + vy[k] * vy[k], TINY * TINY * TINY * TINY))
+            r[k] = wp.max(1.0 - friction[k] / speed, 0.0)
+        return r
 
     @wp.func
-    def advance(i: int, fx: vec, fy: vec, fz: vec, body: Body, pusher: Pusher, numbers: Numbers):
-        """One iteration under the springs' force, gravity and the pusher."""
+    def advance(i: int, fx: vec, fy: vec, body: Body, pusher: Pusher):
+        """One iteration under the force of springs of unit stiffness, and the table's friction."""
         x = body.x
         v = body.v
-        vx = (v[i, 0] + fx) * numbers.damping
-        vy = (v[i, 1] + fy) * numbers.damping
-        vz = (v[i, 2] + fz - vec(numbers.gravity)) * numbers.damping
-        vx, vy, vz = on_table(x[i, 2], vx, vy, vz, numbers.friction)
-        px, py, vx, vy = keep_out(x[i, 0] + vx, x[i, 1] + vy, vx, vy, pusher.x, pusher.y, pusher.radius)
-        pz = x[i, 2] + vz
-        if wp.static(terms.held):
+        vx = wp.cw_mul(v[i, 0] + wp.cw_mul(fx, pusher.stiffness), pusher.damping)
+        vy = wp.cw_mul(v[i, 1] + wp.cw_mul(fy, pusher.stiffness), pusher.damping)
+        kept = wp.cw_mul(sliding(vx, vy, pusher.friction), pusher.goes_on)
+        vx, vy = wp.cw_mul(vx, kept), wp.cw_mul(vy, kept)
+        if wp.static(held):
             h = body.target[i, 3]
             free = vec(1.0) - h
-            px = wp.cw_mul(px, free) + wp.cw_mul(h, x[i, 0] + pusher.x - pusher.last_x)
-            py = wp.cw_mul(py, free) + wp.cw_mul(h, x[i, 1] + pusher.y - pusher.last_y)
-            pz = wp.cw_mul(pz, free) + wp.cw_mul(h, x[i, 2])
-            vx, vy, vz = wp.cw_mul(vx, free), wp.cw_mul(vy, free), wp.cw_mul(vz, free)
-        x[i, 0] = px
-        x[i, 1] = py
-        x[i, 2] = pz
+            x[i, 0] = x[i, 0] + wp.cw_mul(vx, free) + wp.cw_mul(h, pusher.dx)
+            x[i, 1] = x[i, 1] + wp.cw_mul(vy, free) + wp.cw_mul(h, pusher.dy)
+            vx, vy = wp.cw_mul(vx, free), wp.cw_mul(vy, free)
+        else:
+            x[i, 0] = x[i, 0] + vx
+            x[i, 1] = x[i, 1] + vy
         v[i, 0] = vx
         v[i, 1] = vy
-        v[i, 2] = vz
 
-    return Pusher, advance
+    @wp.func
+    def nudged(ox: vec, square: vec) -> vec:
+        """No way out is the shortest from the middle: take the one along x."""
+        r = vec()
+        for k in range(lanes):
+            r[k] = ox[k] + wp.where(square[k] < TINY * TINY, TINY, 0.0)
+        return r
+
+    @wp.func
+    def out_of_disc(xi: vec, yi: vec, ux: vec, uy: vec, xj: vec, yj: vec, wx: vec, wy: vec, pusher: Pusher):
+        """How the disc moves the first end of a segment whose ends are at x, y and move by u, w; and how much it counts."""
+        ax = xj - xi
+        ay = yj - yi
+        inverse = inverse_root(wp.max(wp.cw_mul(ax, ax) + wp.cw_mul(ay, ay), tiny2))
+        ahead = wp.cw_mul(pusher.x - xi, ax) + wp.cw_mul(pusher.y - yi, ay)
+        share = wp.min(wp.max(wp.cw_mul(wp.cw_mul(ahead, inverse), inverse), zero), one)
+        mine = one - share
+        oy = yi + wp.cw_mul(share, ay) - pusher.y
+        ox = xi + wp.cw_mul(share, ax) - pusher.x
+        ox = nudged(ox, wp.cw_mul(ox, ox) + wp.cw_mul(oy, oy))
+        square = wp.max(wp.cw_mul(ox, ox) + wp.cw_mul(oy, oy), tiny2)
+        inverse = inverse_root(square)
+        depth = wp.max(pusher.radius - wp.cw_mul(square, inverse), zero)
+        nx = wp.cw_mul(ox, inverse)
+        ny = wp.cw_mul(oy, inverse)
+        slip_x = wp.cw_mul(mine, ux) + wp.cw_mul(share, wx) - pusher.dx
+        slip_y = wp.cw_mul(mine, uy) + wp.cw_mul(share, wy) - pusher.dy
+        most = wp.cw_mul(pusher.grip, depth)
+        drag = wp.min(wp.max(wp.cw_mul(slip_y, nx) - wp.cw_mul(slip_x, ny), -most), most)
+        part = quotient(mine, wp.cw_mul(mine, mine) + wp.cw_mul(share, share))
+        px = wp.cw_mul(part, wp.cw_mul(nx, depth) + wp.cw_mul(ny, drag))
+        py = wp.cw_mul(part, wp.cw_mul(ny, depth) - wp.cw_mul(nx, drag))
+        return px, py, wp.cw_mul(mine, depth)
+
+    @wp.func
+    def touch(i: int, body: Body, graph: Springs, pusher: Pusher):
+        """How the disc moves particle i, by all segments that end in it. Leaves it in `summed`: others still read places."""
+        x = body.x
+        v = body.v
+        xi = x[i, 0]
+        yi = x[i, 1]
+        ux = v[i, 0]
+        uy = v[i, 1]
+        sx = vec(0.0)
+        sy = vec(0.0)
+        whole = vec(0.0)
+        for s in range(graph.wall[i], graph.wall[i + 1]):
+            j = graph.other[s]
+            px, py, weight = out_of_disc(xi, yi, ux, uy, x[j, 0], x[j, 1], v[j, 0], v[j, 1], pusher)
+            sx += wp.cw_mul(px, weight)
+            sy += wp.cw_mul(py, weight)
+            whole += weight
+        whole = wp.max(whole, tiny2)
+        body.summed[i, 0] = quotient(sx, whole)
+        body.summed[i, 1] = quotient(sy, whole)
+
+    @wp.func
+    def aside(i: int, body: Body, pusher: Pusher):
+        """Where the disc moves particle i."""
+        for c in range(2):
+            out = wp.cw_mul(body.summed[i, c], pusher.goes_on)
+            body.x[i, c] = body.x[i, c] + out
+            body.v[i, c] = body.v[i, c] + out
+
+    return Pusher, advance, touch, aside
 
 
 @functools.cache
-def _way(lanes: int, terms: _Terms) -> tuple[wp.Function, wp.Function]:
+def _way(lanes: int, held: bool) -> tuple[wp.Function, wp.Function]:
     """The pusher where its path begins, and a step further."""
     load, _ = accessors(lanes)
-    Pusher, _ = _pushed(lanes, terms)
+    Pusher, _, _, _ = _pushed(lanes, held)
 
     @wp.func
-    def begin(group: int, discs: wp.array3d(dtype=wp.float32), path: wp.array3d(dtype=wp.float32)) -> Pusher:
+    def begin(group: int, stroke: Stroke) -> Pusher:
         pusher = Pusher()
-        pusher.radius = load(discs, group, 0, 0)
-        pusher.x = load(path, group, 0, 0)
-        pusher.y = load(path, group, 0, 1)
+        pusher.stiffness = load(stroke.numbers, group, 0, 0)
+        pusher.damping = load(stroke.numbers, group, 0, 1)
+        pusher.friction = load(stroke.numbers, group, 0, 2)
+        pusher.radius = load(stroke.numbers, group, 0, 3)
+        pusher.grip = load(stroke.numbers, group, 0, 4)
+        pusher.until = load(stroke.numbers, group, 0, 5)
+        pusher.x = load(stroke.path, group, 0, 0)
+        pusher.y = load(stroke.path, group, 0, 1)
         return pusher
 
     @wp.func
-    def follow(pusher: Pusher, group: int, path: wp.array3d(dtype=wp.float32), t: int) -> Pusher:
-        moved = Pusher()
-        moved.radius = pusher.radius
-        moved.last_x = pusher.x
-        moved.last_y = pusher.y
-        moved.x = load(path, group, t, 0)
-        moved.y = load(path, group, t, 1)
-        return moved
+    def follow(pusher: Pusher, group: int, stroke: Stroke, t: int) -> Pusher:
+        x = load(stroke.path, group, t, 0)
+        y = load(stroke.path, group, t, 1)
+        for k in range(lanes):
+            pusher.goes_on[k] = wp.where(float(t) <= pusher.until[k], 1.0, 0.0)
+        pusher.dx = x - pusher.x
+        pusher.dy = y - pusher.y
+        pusher.x = x
+        pusher.y = y
+        return pusher
 
     return begin, follow
 
@@ -528,24 +592,26 @@ def _push_kernel(lanes: int, terms: _Terms) -> wp.Kernel:
     body_at = _body_at(lanes)
     springs, _, _ = _forces(lanes, terms.tension_only)
     take, _, give = _guided(lanes, terms)
-    _, advance = _pushed(lanes, terms)
-    begin, follow = _way(lanes, terms)
+    _, advance, touch, aside = _pushed(lanes, terms.held)
+    begin, follow = _way(lanes, terms.held)
 
     @wp.kernel(**KERNEL)
-    def push(
-        first_group: int, slot: int, scene: Scene, stroke: Stroke, graph: Springs, bodies: Bodies, numbers: Numbers
-    ):
+    def push(first_group: int, slot: int, scene: Scene, stroke: Stroke, graph: Springs, bodies: Bodies):
         group = first_group + wp.tid()
         body = body_at(bodies, slot)
         particles = graph.order.shape[0]
         for i in range(particles):
             take(i, group, body, scene, graph.order)
-        pusher = begin(group, stroke.discs, stroke.path)
+        pusher = begin(group, stroke)
         for t in range(stroke.path.shape[1]):
-            pusher = follow(pusher, group, stroke.path, t)
+            pusher = follow(pusher, group, stroke, t)
             for i in range(particles):
-                fx, fy, fz = springs(i, body, graph, numbers.stiffness)
-                advance(i, fx, fy, fz, body, pusher, numbers)
+                fx, fy, _fz = springs(i, body, graph, 1.0)
+                advance(i, fx, fy, body, pusher)
+            for i in range(particles):
+                touch(i, body, graph, pusher)
+            for i in range(particles):
+                aside(i, body, pusher)
         for i in range(particles):
             give(i, group, body, scene, graph.order)
 
@@ -559,11 +625,11 @@ def _push_blocks(terms: _Terms) -> wp.Kernel:
     body_at = _body_at(1)
     _, springs, sum_of_parts = _forces(1, terms.tension_only)
     take, _, give = _guided(1, terms)
-    _, advance = _pushed(1, terms)
-    begin, follow = _way(1, terms)
+    _, advance, touch, aside = _pushed(1, terms.held)
+    begin, follow = _way(1, terms.held)
 
     @wp.kernel(**BLOCK_KERNEL)
-    def push(scene: Scene, stroke: Stroke, graph: Springs, bodies: Bodies, numbers: Numbers):
+    def push(scene: Scene, stroke: Stroke, graph: Springs, bodies: Bodies):
         slot, thread = wp.tid()
         body = body_at(bodies, slot)
         particles, threads = graph.order.shape[0], wp.block_dim()
@@ -571,15 +637,21 @@ def _push_blocks(terms: _Terms) -> wp.Kernel:
             for i in range(thread, particles, threads):
                 take(i, candidate, body, scene, graph.order)
             barrier()
-            pusher = begin(candidate, stroke.discs, stroke.path)
+            pusher = begin(candidate, stroke)
             for t in range(stroke.path.shape[1]):
-                pusher = follow(pusher, candidate, stroke.path, t)
+                pusher = follow(pusher, candidate, stroke, t)
                 for item in range(thread, particles * PARTS, threads):
-                    springs(item, body, graph, numbers.stiffness)
+                    springs(item, body, graph, 1.0)
                 barrier()
                 for i in range(thread, particles, threads):
-                    fx, fy, fz = sum_of_parts(i, body, particles)
-                    advance(i, fx, fy, fz, body, pusher, numbers)
+                    fx, fy, _fz = sum_of_parts(i, body, particles)
+                    advance(i, fx, fy, body, pusher)
+                barrier()
+                for i in range(thread, particles, threads):
+                    touch(i, body, graph, pusher)
+                barrier()
+                for i in range(thread, particles, threads):
+                    aside(i, body, pusher)
                 barrier()
             for i in range(thread, particles, threads):
                 give(i, candidate, body, scene, graph.order)
@@ -602,6 +674,12 @@ def _packed(graph: SpringGraph, device: torch.device) -> Springs:
     springs.first = wp.array(first.astype(np.int32), dtype=wp.int32, device=str(device))
     springs.second = wp.array(pairs[by_first, 1].astype(np.int32), dtype=wp.int32, device=str(device))
     springs.rest = wp.array(rest[by_first].astype(np.float32), dtype=wp.float32, device=str(device))
+    walls = np.argsort(order)[graph.touched]
+    both = np.concatenate([walls, walls[walls[:, 0] != walls[:, 1], ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    wall = np.searchsorted(both[:, 0], np.arange(graph.particles + 1))
+    springs.wall = wp.array(wall.astype(np.int32), dtype=wp.int32, device=str(device))
+    springs.other = wp.array(both[:, 1].astype(np.int32), dtype=wp.int32, device=str(device))
     return springs
 
 
@@ -722,14 +800,11 @@ def push(
     params: PushParams = PushParams(),
     held: Tensor | None = None,
 ) -> Tensor:
-    """`physics.simulation.push` in float32, without gradients: positions [B, N, 3], path [B, T, 2] (m), held [B, N].
+    """`physics.pushing.push` in float32, without gradients: positions [B, N, 3], path [B, T, 2] (m), held [B, N].
 
     Raises as the reference does. Source: paper, Eq. 3, with contact as the external force.
     """
-    numbers = Numbers()
-    numbers.stiffness, numbers.damping, numbers.friction, numbers.gravity, radius = check_push(
-        positions, path, graph, params
-    )
+    numbers = check_push(positions, path, graph, params)
     launch = Launch(len(positions), positions.device, LANES, graph.particles * PARTS)
     out = torch.empty(positions.shape, device=positions.device)
     grip = torch.zeros_like(positions[..., 0]) if held is None else held.to(positions)
@@ -740,10 +815,11 @@ def push(
         velocity=torch.zeros_like(out),
         out=out,
     )
+    numbers[:, 3] = torch.where(grip.any(1), 0.0, numbers[:, 3])
     stroke = Stroke()
     stroke.path = wp.from_torch(path.contiguous())
-    stroke.discs = wp.from_torch(torch.where(grip.any(1), 0.0, radius).to(positions)[:, None, None])
-    terms = _Terms(numbers.friction > 0, params.tension_only, held=held is not None)
+    stroke.numbers = wp.from_torch(numbers[:, None].contiguous())
+    terms = _Terms(False, params.tension_only, held=held is not None)
     kernel = _push_kernel(launch.lanes, terms) if launch.device.type == "cpu" else _push_blocks(terms)
-    launch.run(kernel, [scene, stroke, _packed(graph, launch.device), _scratch(launch, graph.particles), numbers])
-    return out
+    launch.run(kernel, [scene, stroke, _packed(graph, launch.device), _scratch(launch, graph.particles)])
+    return clear(out, path[:, -1], numbers[:, 3])

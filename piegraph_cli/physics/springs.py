@@ -14,6 +14,9 @@ from scipy.spatial.distance import cdist
 
 from piegraph_cli.errors import DataError, UsageError
 
+_GAP = 1.3
+"""Longest segment of a contour, times the longest gap that has to be bridged."""
+
 
 @dataclass(frozen=True, eq=False)
 class SpringGraph:
@@ -25,6 +28,13 @@ class SpringGraph:
     """[S] float64, metres."""
     particles: int
     """How many particles the springs join."""
+    contour: np.ndarray | None = None
+    """[E, 2] int64, the ends of the segments that a pusher touches: see `contour`; None where it touches particles alone."""
+
+    @cached_property
+    def touched(self) -> np.ndarray:
+        """The contour; a particle alone is a segment of no length."""
+        return np.arange(self.particles)[:, None].repeat(2, 1) if self.contour is None else self.contour
 
     @cached_property
     def largest_eigenvalue(self) -> float:
@@ -59,6 +69,25 @@ def build_springs(positions: np.ndarray, radius: float) -> SpringGraph:
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     rest_length = np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
     return SpringGraph(pairs, rest_length, len(positions))
+
+
+def contour(positions: np.ndarray) -> np.ndarray:
+    """The segments [E, 2] between particles [N, 3] (m) that an upright disc touches: no gap is left that it slips into.
+
+    Two particles are joined that have no other one in the circle between them, seen from above (Gabriel's graph), and
+    are hardly further apart than gaps have to be for all to hang together: a longer segment would close a notch.
+    """
+    flat = np.asarray(positions, np.float64)[:, :2]
+    square = cdist(flat, flat, "sqeuclidean")
+    first, second = np.triu_indices(len(flat), 1)
+    reach = _GAP**2 * minimum_spanning_tree(square).max() if len(flat) > 1 else 0.0
+    near = square[first, second] <= reach
+    first, second = first[near], second[near]
+    around = square[first] + square[second] - square[first, second][:, None]
+    around[np.arange(len(first)), first] = around[np.arange(len(first)), second] = np.inf
+    open_pairs = np.stack([first, second], 1)[(around >= -1e-12).all(1)]
+    alone = np.setdiff1d(np.arange(len(flat)), open_pairs)
+    return np.concatenate([open_pairs, np.stack([alone, alone], 1)])
 
 
 def _bridges(positions: np.ndarray, pairs: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Episodes of planning in a simulated environment, closed loop."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,18 @@ import torch
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
+from piegraph_cli.planning.experience import Tried
 from piegraph_cli.planning.goals import Goal
-from piegraph_cli.planning.mpc import Step, run_episode
+from piegraph_cli.planning.mpc import Ending, Step, run_episode
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import Tool, check_inside, make_planner, metric
 from piegraph_cli.planning.search import Plan
+
+APART = 0.05
+"""Mean distance of particles between a start and a goal in place at least, metres: nearer, there is nothing to plan."""
+
+TRIES = 100
+"""Starts that are drawn until one is that far away."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,8 @@ class Episode:
     """NaN where nothing was carried out."""
     metric: str
     """What distances are: `distance` of particles, `emd` or `chamfer`."""
+    ending: Ending
+    """Why it ended."""
 
     @property
     def strokes(self) -> Strokes | None:
@@ -53,7 +62,7 @@ def play(
     environment: Any,
     trained: Trained | None,
     params: PlanParams,
-    choose_goal: Callable[[np.ndarray, Callable[[], np.ndarray]], Goal] | None = None,
+    choose_goal: Callable[[np.ndarray], Goal] | None = None,
     *,
     start: int,
     goal: int,
@@ -61,15 +70,12 @@ def play(
 ) -> Episode:
     """Plan in an environment (`environments.base.Environment`) from start number `start` to goal number `goal`.
 
-    Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones; a goal
-    is drawn relative to the start. `choose_goal(state, sample)` may give another goal than the environment's.
-    `trained` may be None where `params.model` is not trained. Strokes are searched on `device`.
+    Starts and goals follow from `params.seed` and their numbers alone, so that every model meets the same ones.
+    `choose_goal(state)` may give another goal than the environment's. `trained` may be None where `params.model` is not
+    trained. Strokes are searched on `device`.
     """
-    state, _ = environment.reset(seed=int(np.random.SeedSequence([params.seed, 0, start]).generate_state(1)[0]))
-    rng = np.random.default_rng([params.seed, 1, goal])
-    wanted = (
-        choose_goal(state, lambda: environment.goal(rng)) if choose_goal else Goal.of_particles(environment.goal(rng))
-    )
+    state, wanted = _task(environment, params, choose_goal, start, goal)
+    params = _within(params, environment.walls)
     tool, seed = tool_of(environment), [params.seed, 2, start, goal]
     cost, make_plan = make_planner(trained, state, wanted, params, tool, seed, device)
 
@@ -79,12 +85,54 @@ def play(
 
     seeing = np.random.default_rng([params.seed, 3, start, goal])
 
-    def look(positions: torch.Tensor) -> Plan | None:
-        return make_plan(positions + torch.as_tensor(seeing.normal(0, params.state_noise, positions.shape)).float())
+    def look(positions: torch.Tensor, tried: Sequence[Tried]) -> Plan | None:
+        noise = torch.as_tensor(seeing.normal(0, params.state_noise, positions.shape)).float()
+        return make_plan(positions + noise, tried)
 
-    steps = list(run_episode(state, look, act, cost, strokes=params.strokes, success=params.success))
+    limits = {name: getattr(params, name) for name in ("strokes", "success", "look_every", "stop")}
+    steps, ending = run_episode(state, look, act, cost, **limits)
     first = float(cost(torch.as_tensor(state)[None])[0])
-    return Episode(state, wanted.points, steps, first, steps[-1].distance if steps else first, metric(params, wanted))
+    last = steps[-1].distance if steps else first
+    return Episode(state, wanted.points, steps, first, last, metric(params, wanted), ending)
+
+
+def _within(params: PlanParams, walls: tuple[float, float, float, float] | None) -> PlanParams:
+    """The settings with strokes inside an environment's walls, at which a tool would stop short of where it was sent."""
+    if walls is None:
+        return params
+    given = params.workspace
+    bounds = [(min if k % 2 else max)(given[k], wall) for k, wall in enumerate(walls)]
+    return params.model_copy(update={"workspace": (*bounds, *given[4:])})
+
+
+def _task(
+    environment: Any, params: PlanParams, choose_goal: Callable[[np.ndarray], Goal] | None, start: int, goal: int
+) -> tuple[np.ndarray, Goal]:
+    """Particles [N, 3] (m) of a start, at which the environment then is, and the goal.
+
+    A goal in place is one from a start of its own number; a start that coincides with it is drawn again.
+    """
+    rng = np.random.default_rng([params.seed, 1, goal])
+    if choose_goal or not params.fixed_goals:
+        state = _start(environment, params.seed, start)
+        return state, choose_goal(state) if choose_goal else Goal.of_particles(environment.goal(rng))
+    environment.reset(seed=_number(params.seed, 4, goal))
+    place = environment.goal(rng)
+    for again in range(TRIES):
+        state = _start(environment, params.seed, start, again)
+        if np.linalg.norm(state - place, axis=1).mean() > APART:
+            return state, Goal.of_particles(place)
+    hint = "a larger object, or options of the environment with goals that differ from its starts"
+    raise DataError(f"every start lies within {APART * 100:g} cm of goal {goal}", str(params.env), hint)
+
+
+def _start(environment: Any, seed: int, start: int, again: int = 0) -> np.ndarray:
+    """Reset to start number `start`, as it is drawn for the first time or again: particles [N, 3] (m)."""
+    return environment.reset(seed=_number(seed, 0, start, *[again] * (again > 0)))[0]
+
+
+def _number(*entropy: int) -> int:
+    return int(np.random.SeedSequence(entropy).generate_state(1)[0])
 
 
 def tool_of(environment: Any) -> Tool:
@@ -111,20 +159,14 @@ def plan_once(
     cost, make_plan = make_planner(trained, shape, goal, params, Tool(), [params.seed, 2, 0, 0], device)
     start = float(cost(torch.as_tensor(state)[None])[0])
     if start < params.success:
-        return Episode(state, goal.points, [], start, start, metric(params, goal))
-    plan = make_plan(torch.as_tensor(state))
+        return Episode(state, goal.points, [], start, start, metric(params, goal), "reached")
+    plan = make_plan(torch.as_tensor(state), ())
     if plan is None:
         clear = " and outside the boxes of plan.keep_out" if params.keep_out else ""
         hint = f"widen plan.workspace{', make the boxes smaller' if params.keep_out else ''} or move the object"
         raise DataError(f"no stroke touches the object inside the workspace{clear}", hint=hint)
     steps, before, unknown = [], state, np.full_like(state, np.nan)
     for k in range(len(plan.strokes)):
-        later = replace(
-            plan,
-            strokes=plan.strokes[k:],
-            predicted=plan.predicted[k:],
-            cost=float(cost(plan.predicted[k][None])[0]),
-        )
-        steps.append(Step(later, before, unknown, float("nan"), False, 0.0))
+        steps.append(Step(plan.later(k, cost), before, unknown, float("nan"), False, 0.0))
         before = plan.predicted[k].numpy()
-    return Episode(state, goal.points, steps, start, float("nan"), metric(params, goal))
+    return Episode(state, goal.points, steps, start, float("nan"), metric(params, goal), "planned")

@@ -11,12 +11,15 @@ from piegraph_cli.environments.params import (
     ENVIRONMENT_NAMES,
     EnvironmentName,
     EnvironmentParams,
-    Environments,
     EnvironmentSettings,
+    Tasks,
 )
 from piegraph_cli.params import Box, Boxes, Modes, Params, Pose2, Table, Thresholds, split_commas
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
+
+
+FIXED_GOALS = "goals of --env stay in place whatever the start, as the paper's; else each lies so far from its start"
 
 
 class Place(NamedTuple):
@@ -48,7 +51,17 @@ class PlanParams(PredictionParams, EnvironmentParams):
     query: ClassVar[tuple[str, ...]] = ("env", "state", "goal", "goal_pose", "goal_at")
     """What is asked. Giving any of these on the command line forgets the others: an old goal must not move a robot."""
 
-    later: ClassVar[tuple[str, ...]] = ("goal_at", "keep_out", "approach_height", "retreat", "speed")
+    later: ClassVar[tuple[str, ...]] = (
+        "goal_at",
+        "keep_out",
+        "approach_height",
+        "retreat",
+        "speed",
+        "look_every",
+        "caution",
+        "stop",
+        "fixed_goals",
+    )
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
     state: Path | None = Field(None, description="the object now: cloud (.ply, .npz, .h5), or images as for look")
@@ -80,12 +93,28 @@ class PlanParams(PredictionParams, EnvironmentParams):
     elites: float = Field(0.1, gt=0, le=1, description="share of candidates that are elites of CEM")
     temperature: float = Field(0.005, ge=1e-6, description="cost that MPPI finds much [m]")
     noise: float = Field(0.1, gt=0, description="deviation of MPPI's candidates, as a share of the range")
+    look_every: int = Field(
+        1, ge=1, description="strokes of a plan that are carried out in --env before it looks again"
+    )
+    remember: bool = Field(
+        True,
+        description="a stroke of the episode that did not do as predicted counts by its error, and what is like it",
+    )
+    caution: float = Field(
+        0.0,
+        ge=0,
+        description="weight of the error to expect of a prediction in its cost, for what was evaluated (0: none)",
+    )
+    stop: bool = Field(
+        False, description="end an episode in --env when no stroke is expected to help by more than its expected error"
+    )
     strokes: int = Field(13, ge=1, description="most strokes in one episode")
     state_noise: float = Field(
         0.0, ge=0, description="noise on the particles that the planner sees in --env, to test it [m]"
     )
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
     episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
+    fixed_goals: bool = Field(False, description=FIXED_GOALS)
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
     max_length: float = Field(0.14, gt=0, description="longest push [m]")
     max_carry: float = Field(0.3, gt=0, description="furthest that a pick carries along x and along y [m]")
@@ -108,6 +137,8 @@ class PlanParams(PredictionParams, EnvironmentParams):
     def _check_lengths(self) -> "PlanParams":
         if self.min_length >= self.max_length:
             raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
+        if self.look_every > self.horizon:
+            raise ValueError(f"look_every {self.look_every} is more than horizon {self.horizon}: so many are planned")
         return self
 
     def goal_place(self) -> Place:
@@ -148,8 +179,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
 class TrialsParams(EnvironmentParams):
     """Settings of `trials`: the grid environments x models x goals x seeds of the paper's planning experiment."""
 
-    envs: Environments = Field(
-        ("tblock", "rope-stiff", "rope-bendy", "tshirt"), description=f"simulated environments, of {ENVIRONMENT_NAMES}"
+    envs: Tasks = Field(
+        ("tblock", "rope-stiff", "rope-bendy", "tshirt"),
+        description=f"simulated environments, of {ENVIRONMENT_NAMES}; tshirt:crumpled, cloth:crumpled: with such goals",
     )
     models: TrialLabels = Field(
         ("piegraph", "piegraph-ng", "static"),
@@ -157,6 +189,7 @@ class TrialsParams(EnvironmentParams):
     )
     goals: int = Field(10, ge=1, description="goals per environment")
     seeds: int = Field(10, ge=1, description="starts per goal")
+    fixed_goals: bool = Field(False, description=FIXED_GOALS)
     strokes: int = Field(30, ge=1, description="most strokes in one trial")
     thresholds: Thresholds = Field(
         (0.02, 0.03, 0.05, 0.1), description="distances that count as success; the smallest one ends a trial [m]"
@@ -173,9 +206,12 @@ class TrialsParams(EnvironmentParams):
 class TrialParams(Params):
     """Everything one trial depends on."""
 
+    later = ("metrics",)
+
     goal: int = Field(ge=0, description="number of the goal")
     seed: int = Field(ge=0, description="number of the start")
     network: Path | None = Field(description="model artifact of the trained run; None where nothing is trained")
+    metrics: Path | None = Field(None, description="metrics artifact of the same, where expected errors count")
     plan: PlanParams = Field(description="planning settings in force, with environment, model, strokes and success")
 
     def content(self) -> dict[str, Any]:
@@ -187,5 +223,6 @@ class TrialParams(Params):
         return {}
 
     def artifacts(self) -> dict[str, tuple[Path, str]]:
-        """The network."""
-        return {"network": (self.network, "model")} if self.network else {}
+        """The network, and its metrics."""
+        named = {"network": (self.network, "model"), "metrics": (self.metrics, "metrics")}
+        return {name: (path, what) for name, (path, what) in named.items() if path}

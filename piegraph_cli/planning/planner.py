@@ -1,24 +1,25 @@
 """The planner that settings ask for, for one object and one goal."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import Trained, make_predict, recordable
+from piegraph_cli.dynamics.models import Trained, make_foresee, recordable
 from piegraph_cli.dynamics.params import trained_label
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH, mode_number, mode_word
 from piegraph_cli.planning.costs import Cost, make_cost
+from piegraph_cli.planning.experience import Tried
 from piegraph_cli.planning.goals import Goal
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH, StrokeSpace, solid_edges
 from piegraph_cli.planning.search import Plan, Search
 
-MakePlan = Callable[[torch.Tensor], Plan | None]
-"""From particles now [N, 3] (m); None where no stroke is feasible."""
+MakePlan = Callable[[torch.Tensor, Sequence[Tried]], Plan | None]
+"""From particles now [N, 3] (m) and the episode's strokes so far; None where no stroke is feasible."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def make_planner(
     seed: list[int],
     device: str = "cpu",
 ) -> tuple[Cost, MakePlan]:
-    """The cost, and the function that plans from positions [N, 3] (m), for the object whose rest state is `state` [N, 3].
+    """The cost, and the function that plans for the object whose rest state is `state` [N, 3].
 
     `trained` is None where `params.model` is not trained. The search is on `device`, all that is given and returned on the CPU.
     """
@@ -55,13 +56,14 @@ def make_planner(
             raise UsageError("the greedy planner picks, and needs to know which particle belongs where", "plan.planner")
         places, radius = torch.as_tensor(goal.particles[0]), pusher_radius(params, tool)
         picks = stroke_space(torch.as_tensor(state), params, (PICK,), radius)
-        return cost, lambda positions: put_worst_right(positions, places, cost, picks)
+        return cost, lambda positions, _: put_worst_right(positions, places, cost, picks)
     rest = torch.as_tensor(state, device=device)
-    predict = make_predict(params.model, trained, rest, params)
+    foresee = make_foresee(params.model, trained, rest, params)
     space = stroke_space(rest, params, modes, pusher_radius(params, tool))
     generator = torch.Generator(device).manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     record = rest.is_cuda and recordable(params.model) and len(modes) == 1 and kind != "emd"
-    return cost, Search(predict, make_cost(kind, target.to(rest), len(state)), space, params, generator, record)
+    calibration, there = trained.calibration if trained else None, make_cost(kind, target.to(rest), len(state))
+    return cost, Search(foresee, there, space, params, generator, record, calibration)
 
 
 def metric(params: PlanParams, goal: Goal) -> str:

@@ -5,7 +5,7 @@ The stage `plan`, `Model.plan` and whoever keeps a model warm ask through `answe
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,16 @@ class Answer(Episode):
     warnings: tuple[str, ...] = ()
     """What is to be said beside it."""
 
+    @property
+    def expected_gain(self) -> float:
+        """How much nearer (m) to the goal its strokes are predicted to bring the object; NaN where there is none."""
+        return self.start_distance - self.steps[-1].plan.cost if self.steps else math.nan
+
+    @property
+    def expected_error(self) -> float:
+        """How far off (m) the last of the predictions may be; NaN where that is not known."""
+        return float(self.steps[-1].plan.errors[0]) if self.steps else math.nan
+
 
 def answer(
     trained: Trained | None,
@@ -74,8 +84,19 @@ def answer(
     if there is not None and trained is not None and trained.sizes is not None:
         warnings += check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
     shape = seen if rest is None else moved(finite(rest, "rest"), T)
-    found = plan_once(trained, seen, target, params, device, shape)
-    return Answer(**vars(found), warnings=tuple(warnings))
+    found = Answer(**vars(plan_once(trained, seen, target, params, device, shape)))
+    return replace(found, warnings=(*warnings, *_hopes(found)))
+
+
+def _hopes(found: Answer) -> list[str]:
+    """A word where the strokes may as well do harm."""
+    gain, error = found.expected_gain, found.expected_error
+    if not gain <= error:
+        return []
+    return [
+        f"no stroke is expected to help: {gain * 100:.1f} cm nearer to the goal are predicted, and predictions like this one "
+        f"are {error * 100:.1f} cm off\n  try: a nearer goal, strokes of your own, or a model of more sequences"
+    ]
 
 
 def _check_approach(params: PlanParams, cloud: np.ndarray, particles: np.ndarray) -> None:

@@ -30,6 +30,7 @@ def plan_arrays(episodes: "Sequence[Episode]", params: PlanParams) -> dict[str, 
             "seed": np.full(len(episodes), params.seed),
             "start_distance": np.array([episode.start_distance for episode in episodes]),
             "end_distance": np.array([episode.end_distance for episode in episodes]),
+            "ending": np.array([episode.ending for episode in episodes]),
             "episode": np.repeat(np.arange(len(episodes)), [len(episode.steps) for episode in episodes]),
         }
     )
@@ -66,6 +67,7 @@ def step_arrays(steps: "list[Step]", particles: int) -> dict[str, np.ndarray]:
         "predicted": states([s.plan.predicted[0].numpy() for s in steps]),
         "after": states([s.after for s in steps]),
         "cost": np.array([s.plan.cost for s in steps], float),
+        "expected_error": np.array([float(s.plan.errors[0]) for s in steps], float),
         "distance": np.array([s.distance for s in steps], float),
         "blocked": np.array([s.blocked for s in steps], bool),
         "seconds": np.array([s.seconds for s in steps], float),
@@ -90,6 +92,7 @@ def answer_value(answer: "Answer", params: PlanParams, T: np.ndarray | None, can
         "strokes": strokes,
         "metric": answer.metric,
         "start_distance": answer.start_distance,
+        "expected_gain": _number(answer.expected_gain),
         "warnings": list(answer.warnings),
         "units": "m",
     }
@@ -120,11 +123,17 @@ def stroke_rows(plan: Mapping[str, np.ndarray], T: np.ndarray | None) -> list[di
     for k, ends in enumerate(plan["stroke"]):
         row: dict[str, Any] = {"episode": int(plan["episode"][k]), "mode": mode_word(int(plan["mode"][k]))}
         row |= stroke_in(T, ends) | {"predicted_distance": float(plan["cost"][k])}
+        row["expected_error"] = _number(plan["expected_error"][k])
         if np.isfinite(plan["distance"][k]):
             row |= {"distance": float(plan["distance"][k]), "blocked": bool(plan["blocked"][k])}
         row["path"] = _path_rows(plan, k, T)
         rows.append(row)
     return rows
+
+
+def _number(value: float) -> float | None:
+    """None for what is not known: NaN is no JSON."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _path_rows(plan: Mapping[str, np.ndarray], k: int, T: np.ndarray | None) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import figures, trial_figures
+from piegraph_cli.evaluation.reliability import reliability
 from piegraph_cli.evaluation.tables import Metrics, summarise
 from piegraph_cli.evaluation.trials import Trial, compare_trials
 from piegraph_cli.report import tables
@@ -19,6 +20,7 @@ from piegraph_cli.report.pictures import Picture, image_picture, share_of, shrin
 from piegraph_cli.report.sequence import FRAMES, Seen, draw_sequence
 from piegraph_cli.report.svg import svg_of
 from piegraph_cli.report.words import Part, worst
+from piegraph_cli.stages.plan import HELPLESS
 from piegraph_cli.stages.train import split_model
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.artifact import Artifact
@@ -88,8 +90,18 @@ def model_section(found: Found, metrics: dict[str, list[Artifact]], arrays: Metr
     by_label: dict[str, list[str]] = {}
     for unit in units:
         by_label.setdefault(split_model(unit)[0], []).append(unit)
+    sure = reliability(arrays)
+
+    def agreement(mark: str) -> list[Picture]:
+        first = min(row["horizon"] for row in sure)
+        own = [row for row in sure if row["horizon"] == first]
+        said = f"Real over expected errors, {counted(first, 'stroke')} ahead; calibrated on other sequences"
+        return [_plot(partial(figures.reliability_figure, own), mark, said)]
+
     return {
         "rows": tables.metric_rows(arrays),
+        "sure": [tables.look_of(row["model"]) | row for row in sure],
+        "agreement": drawn.take("reliability", keys, agreement) if sure else [],
         "looks": [tables.look_of(label) for label in metrics],
         "errors": drawn.take("errors", keys, errors) if metrics else [],
         "losses": [one for label, own in by_label.items() for one in _losses(found, label, own, drawn)],
@@ -142,6 +154,8 @@ def _strip(plan: Artifact, episode: int, mark: str) -> Picture:
     start, end = plan["start_distance"][episode] * 100, plan["end_distance"][episode] * 100
     strokes = counted(len(steps), "stroke")
     ending = f"{end:.1f} cm after {strokes}" if np.isfinite(end) else f"{strokes} planned"
+    why = plan.texts("ending")[episode]
+    ending += f", {why}" if why == HELPLESS else ""
     caption = f"Episode {episode}: {start:.1f} cm from the goal, {ending}"
     alt = f"{caption}; object, stroke, prediction and goal from above at each stroke"
     return _plot(partial(figures.plan_figure, steps, plan["goal"][episode]), mark, caption, alt)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 
-COLUMNS = ("horizon", "sequence", "first_stroke", "cd", "s", "pd", "pd_truth")
+COLUMNS = ("horizon", "sequence", "first_stroke", "cd", "s", "pd", "pd_truth", "motion", "correction")
 
 
 def _units(run: "Run") -> Sequence[Unit]:
@@ -47,7 +47,7 @@ STAGE = Stage(
     ("dataset", "model"),
     "metrics",
     EvaluateParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.evaluate:run",
     unit="model",
     optional=("scores",),
@@ -86,6 +86,11 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
     return Output(arrays, _quality(arrays, params), _warnings(arrays, params))
 
 
+def measured(run: "Run", name: str) -> bool:
+    """Whether a run has fresh metrics of a model, by its `train.model_name`."""
+    return name in run.units(STAGE) and run.fresh(STAGE, name)
+
+
 def _true_positions(inputs: dict[str, Any], sequence: str) -> "np.ndarray | None":
     """The true particles [F, N, 3] (m) of a sequence that was scored."""
     scores = inputs.get("scores", {})
@@ -109,14 +114,14 @@ def read_metrics(run: "Run") -> tuple[dict[str, list["Artifact"]], list["Artifac
 
 def describe(run: "Run") -> Told:
     """A run's metrics and scores as one object and as lines for people."""
+    from piegraph_cli.evaluation.reliability import reliability, reliability_lines
     from piegraph_cli.evaluation.tables import summarise, summarise_scores, table_lines
 
-    metrics, scores = read_metrics(run)
-    rows, values = (
-        summarise({m: [a.arrays for a in seeds] for m, seeds in metrics.items()}),
-        summarise_scores([a.arrays for a in scores]),
-    )
-    return {"metrics": str(run.folder / "metrics"), "rows": rows, "scores": values}, table_lines(rows, values)
+    found, scores = read_metrics(run)
+    metrics = {m: [a.arrays for a in seeds] for m, seeds in found.items()}
+    rows, values, sure = summarise(metrics), summarise_scores([a.arrays for a in scores]), reliability(metrics)
+    value = {"metrics": str(run.folder / "metrics"), "rows": rows, "scores": values, "reliability": sure}
+    return value, table_lines(rows, values) + reliability_lines(sure)
 
 
 def _quality(arrays: dict[str, "np.ndarray"], params: ModelEvaluateParams) -> str:

@@ -1,5 +1,6 @@
 """What stages read of a dataset and of a trained model."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from piegraph_cli.dynamics.models import Trained, make_network
 from piegraph_cli.dynamics.params import LEARNED
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.evaluation.reliability import calibration_of
 from piegraph_cli.params import PICK, validated
 from piegraph_cli.physics.particles import Sizes
 from piegraph_cli.workspace.artifact import Artifact
@@ -64,6 +66,11 @@ def read_model(model: Artifact) -> Trained:
     network = network.eval().requires_grad_(False)
     sizes = Sizes.of_array(model["size"])
     return Trained(network, settings, float(model["pace"]), modes, int(model["particles"]), model["rest"], sizes)
+
+
+def calibrated(trained: Trained, metrics: Artifact | None) -> Trained:
+    """With the errors to expect of its predictions, as its metrics tell them; as it is where there are none."""
+    return trained if metrics is None else replace(trained, calibration=calibration_of(metrics.arrays))
 
 
 def read_sequence(data: Artifact, index: int) -> dict[str, Any]:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError, UsageError, command_line
 from piegraph_cli.planning.params import Place, PlanParams
-from piegraph_cli.stages import train
+from piegraph_cli.stages import evaluate, train
+from piegraph_cli.stages.steps import check_environments
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
@@ -16,10 +17,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from piegraph_cli.planning.episode import Episode
+    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.question import Answer
     from piegraph_cli.workspace.run import Run
 
+
+HELPLESS = "no stroke is expected to help"
+"""Of `planning.mpc.Ending`, which is not imported here: it imports torch."""
 
 METRICS = {"distance": "particle distance", "emd": "earth mover's distance", "chamfer": "chamfer distance"}
 """What distances to the goal are called."""
@@ -30,10 +35,12 @@ def _units(run: "Run") -> Sequence[Unit]:
 
 
 def _inputs(run: "Run", unit: Unit) -> Inputs:
-    """The trained model, where one is used."""
+    """The trained model, where one is used, and its metrics, where it was evaluated: they say how far off it may be."""
     label = run.params(STAGE.name).model
-    model = train.trained_name(train.model_name(label, run.params("train").seeds_of(label)[0]))
-    return {"model": model} if model else {}
+    name = train.model_name(label, run.params("train").seeds_of(label)[0])
+    model = train.trained_name(name)
+    read: Inputs = {"model": model} if model else {}
+    return read | {"metrics": name} if model and evaluate.measured(run, name) else read
 
 
 def _settings(run: "Run", unit: Unit) -> PlanParams:
@@ -42,6 +49,11 @@ def _settings(run: "Run", unit: Unit) -> PlanParams:
     if params.state is None or params.table is not None:
         return params
     return params.model_copy(update={"table": run.params("ingest").table})
+
+
+def _check(run: "Run", units: Sequence[Unit], processes: int) -> list[str]:
+    params: PlanParams = run.params(STAGE.name)
+    return check_environments([(params.env, params)], processes)
 
 
 SAME = 1e-6
@@ -53,13 +65,15 @@ STAGE = Stage(
     ("model",),
     "plan",
     PlanParams,
-    version=7,
+    version=8,
     run="piegraph_cli.stages.plan:run",
     unit="run",
+    optional=("metrics",),
     on_demand=True,
     units=_units,
     settings=_settings,
     inputs=_inputs,
+    check=_check,
     call=Call(
         first=("env", "state", "goal", "goal_pose", "goal_at", "model", "horizon", "samples", "strokes", "episodes"),
         remembers=False,  # each question stands for itself: an old goal must not move a robot
@@ -77,9 +91,9 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
     with imports_at_once():
         from piegraph_cli.planning.model import Model
         from piegraph_cli.planning.told import plan_arrays
-        from piegraph_cli.stages.learning import read_model
+        from piegraph_cli.stages.learning import calibrated, read_model
     set_up_torch()
-    trained = read_model(inputs["model"]) if "model" in inputs else None
+    trained = calibrated(read_model(inputs["model"]), inputs.get("metrics")) if "model" in inputs else None
     model = Model(params.model, trained, params, choose_device(context.device))
     if params.state is None:
         episodes, warnings = _play(model, params, context)
@@ -95,7 +109,6 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
 def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["Episode"], list[str]]:
     """Closed loop in the environment `params.env`, and what is to be said of the tool."""
     from piegraph_cli.planning.episode import play, tool_of
-    from piegraph_cli.planning.goals import Goal
     from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.planning.question import wanted
     from piegraph_cli.stages.points import read_points
@@ -104,12 +117,13 @@ def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["E
     cloud = read_points(*params.goal_place()) if params.goal is not None else None
     asked = cloud is not None or params.goal_pose is not None or params.goal_at is not None
 
-    def choose(state: "np.ndarray", sample: Callable[[], "np.ndarray"]) -> Goal:
-        return wanted(model.trained, params, state, state, cloud) if asked else Goal.of_particles(sample())
+    def choose(state: "np.ndarray") -> "Goal":
+        return wanted(model.trained, params, state, state, cloud)
 
     environment = open_environment(params, model)
     numbers = context.progress(range(params.episodes), "episodes")
-    episodes = [play(environment, model.trained, params, choose, start=i, goal=i, device=model.device) for i in numbers]
+    goals = choose if asked else None
+    episodes = [play(environment, model.trained, params, goals, start=i, goal=i, device=model.device) for i in numbers]
     return episodes, tool_warnings(params, tool_of(environment))
 
 
@@ -202,7 +216,9 @@ def _quality(arrays: dict[str, "np.ndarray"], params: PlanParams) -> str:
     solved = arrays["end_distance"] < params.success
     counts = [int((arrays["episode"] == i).sum()) for i in np.flatnonzero(solved)]
     mean = f", {np.mean(counts):.1f} strokes each" if counts else ""
-    return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm of {of}{mean}"
+    left = int((arrays["ending"] == HELPLESS).sum())
+    given_up = f"; {counted(left, 'episode')} ended as {HELPLESS}" if left else ""
+    return f"{int(solved.sum())} of {len(solved)} goals below {params.success * 100:g} cm of {of}{mean}{given_up}"
 
 
 def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
@@ -217,10 +233,11 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     rows, lines = stroke_rows(plan.arrays, T), [plan.quality]
     for row in rows:
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
+        unsure = "" if row["expected_error"] is None else f" (± {row['expected_error'] * 100:.1f})"
         start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(
             f"episode {row['episode']}: {row['mode']} from ({start}) to ({end}) m, "
-            f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{reached}"
+            f"predicted {row['predicted_distance'] * 100:.1f} cm from the goal{unsure}{reached}"
         )
     if params.state is not None:
         lines += _path_lines(rows)
@@ -231,7 +248,10 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     value = {"plan": str(plan.path), "quality": plan.quality, "strokes": rows, "frame": params.frame, "units": "m"}
     value |= {"goal": _goal_text(params)} if params.state is not None else {}
     value |= {"metric": plan.texts("metric")[0], "start_distance": plan["start_distance"].tolist()}
-    return value if np.isnan(ends).all() else value | {"end_distance": ends}, lines
+    if not np.isnan(ends).all():
+        return value | {"end_distance": ends, "ending": plan.texts("ending")}, lines
+    gain = float(plan["start_distance"][0] - plan["cost"][-1]) if len(plan["cost"]) else None
+    return value | {"expected_gain": gain}, lines
 
 
 def _path_lines(rows: list[dict[str, Any]]) -> list[str]:

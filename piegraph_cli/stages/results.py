@@ -109,6 +109,31 @@ class Score(Result):
     p90: float
 
 
+class Bin(Result):
+    """Predictions that are as sure as one another."""
+
+    expected: float
+    """Mean expected error [m]."""
+    error: float
+    """Mean real one [m]."""
+
+
+class Reliability(Result):
+    """What error was expected of a model's predictions, by those of other sequences, and what it was."""
+
+    model: str
+    horizon: int
+    """Strokes in a row."""
+    predictions: int
+    seeds: int
+    rank: float
+    """Rank correlation of expected and real errors."""
+    within: float
+    """Share of the real errors below the bound that should hold for nine in ten."""
+    bins: list[Bin]
+    """A fifth of the predictions each, the surest first."""
+
+
 class Evaluation(Result):
     """Errors of all models."""
 
@@ -116,6 +141,8 @@ class Evaluation(Result):
     """Folder of the artifacts."""
     rows: list[Errors]
     scores: list[Score]
+    reliability: list[Reliability]
+    """By horizon and model, where 20 predictions and more say how sure they are."""
     missing: list[Missing]
     failed: list[Failed]
 
@@ -147,6 +174,8 @@ class Stroke(Result):
     """Turns the frame's axes to x along the stroke and z up from the table; left out in the run's own world."""
     predicted_distance: Number
     """To the goal [m]."""
+    expected_error: Number
+    """How far the predicted particles may be off [m]; `null` where the model was not evaluated."""
     distance: Number = None
     """To the goal after the stroke [m], where it was executed."""
     blocked: bool | None = None
@@ -174,6 +203,11 @@ class Plan(Result):
     """Of each episode [m]."""
     end_distance: list[Number] | None = None
     """Of each episode that was executed [m]."""
+    ending: list[str] | None = None
+    """Of each episode that was executed: `reached`, `strokes spent`, `no stroke is possible`, or `no stroke is expected to
+    help`, with `--stop`."""
+    expected_gain: Number = None
+    """How much nearer to the goal the strokes are predicted to bring the object [m], where they were not executed."""
 
 
 class Spread(Result):

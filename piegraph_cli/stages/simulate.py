@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.environments.params import EnvironmentParams, RecordingParams, SequenceParams, SimulateParams
+from piegraph_cli.environments.params import RecordingParams, SequenceParams, SimulateParams
 from piegraph_cli.errors import UsageError
+from piegraph_cli.stages.steps import check_environments, make_environment
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Folder, Given, Instead, Told
 from piegraph_cli.workspace.parallel import in_processes
@@ -36,6 +37,11 @@ def _settings(run: "Run", unit: str) -> SequenceParams:
     return SequenceParams(**{name: given[name] for name in SequenceParams.model_fields})
 
 
+def _check(run: "Run", units: Sequence[Unit], processes: int) -> list[str]:
+    params = run.params(STAGE.name)
+    return check_environments([(params.environment, params)], processes)
+
+
 def _of_recording(params: SimulateParams) -> RecordingParams:
     return RecordingParams(**params.model_dump(exclude={"sequences"}))
 
@@ -59,6 +65,7 @@ STAGE = Stage(
     run="piegraph_cli.stages.simulate:run",
     units=_units,
     settings=_settings,
+    check=_check,
     call=Call(
         more="True particles of random strokes, as tracks of a run; with --render, a recording like one of real cameras.",
         argument="environment",
@@ -83,17 +90,6 @@ def run(inputs: dict[str, Any], params: SequenceParams, context: Context) -> Out
     frames, particles = tracks["positions"].shape[:2]
     arrays = tracks | {"residual": np.zeros(frames), "visibility": np.ones((frames, particles))}
     return Output(arrays, f"{frames} frames, {counted(params.strokes, 'stroke')}, {particles} particles")
-
-
-def make_environment(name: str, particles: int, params: EnvironmentParams) -> Any:
-    """The environment of that name with the options that are given for it."""
-    from piegraph_cli.environments import make
-
-    options = dict(params.options)
-    if name.startswith("daxbench-"):
-        given = {"python": params.daxbench_python, "repo": params.daxbench_repo}
-        options |= {k: str(v) for k, v in given.items() if v is not None}
-    return make(name, particles, options)
 
 
 def sequence_seed(params: SequenceParams, index: int) -> int:

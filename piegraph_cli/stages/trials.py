@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments import check_options
+from piegraph_cli.environments.params import split_task
 from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
+from piegraph_cli.stages.steps import check_environments
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 _QUESTION = {
     *("env", "state", "goal", "goal_pose", "goal_at", "table", "frame", "cameras"),
-    *("model", "strokes", "success", "episodes", "seed"),
+    *("model", "strokes", "success", "episodes", "fixed_goals", "seed"),
 }
 """Settings of `plan` that the grid gives."""
 
@@ -48,25 +50,36 @@ def _settings(run: "Run", unit: str) -> TrialParams:
     starts take turns with them. Raises `UsageError` for options that the environment does not have.
     """
     params: TrialsParams = run.params(STAGE.name)
-    env, model, goal, seed = split_name(unit)
+    task, model, goal, seed = split_name(unit)
+    env, goals = split_task(task)
     trained = run.beside((params.trained or run.folder.resolve().parent) / env)
     kept: PlanParams = trained.params("plan")
     settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}
-    settings["options"] = kept.options | _options_of(params, env)
+    settings["options"] = kept.options | _options_of(params, env) | goals
     check_options(env, settings["options"])
     for interpreter in ("daxbench_python", "daxbench_repo"):
         given = getattr(params, interpreter) or settings[interpreter]
         settings[interpreter] = given if env.startswith("daxbench-") else None
     settings |= {"env": env, "strokes": params.strokes, "success": min(params.thresholds)}
+    settings["fixed_goals"] = params.fixed_goals
     plan = validated(PlanParams, settings, "plan", "trials.plan", "piegraph plan --help")
     seeds = trained.params("train").seeds_of(model)
-    own = train.trained_name(train.model_name(model, seeds[seed % len(seeds)]))
-    return TrialParams(goal=goal, seed=seed, network=trained.path("model", own) if own else None, plan=plan)
+    name = train.model_name(model, seeds[seed % len(seeds)])
+    own = train.trained_name(name)
+    network = trained.path("model", own) if own else None
+    metrics = trained.path("metrics", name) if own and (plan.caution or plan.stop) else None
+    return TrialParams(goal=goal, seed=seed, network=network, metrics=metrics, plan=plan)
+
+
+def _check(run: "Run", units: Sequence[Any], processes: int) -> list[str]:
+    """Of each environment, with the settings of one of its trials."""
+    of = {split_name(unit)[0]: unit for unit in units}
+    return check_environments([(env, _settings(run, unit).plan) for env, unit in of.items()], processes)
 
 
 def split_name(name: str) -> tuple[str, str, int, int]:
-    """Environment, model, number of the goal and of the start of a trial, from its name."""
+    """Task (an environment, or ENVIRONMENT:GOALS), model, number of the goal and of the start of a trial, from its name."""
     env, model, goal, seed = name.split(".")
     return env, model, int(goal.removeprefix("goal")), int(seed.removeprefix("seed"))
 
@@ -83,14 +96,15 @@ STAGE = Stage(
     (),
     "trials",
     TrialsParams,
-    version=4,
+    version=5,
     run="piegraph_cli.stages.trials:run",
     unit="trial",
     on_demand=True,
     units=_units,
     settings=_settings,
+    check=_check,
     call=Call(
-        first=("envs", "models", "goals", "seeds", "strokes", "options"),
+        first=("envs", "models", "goals", "seeds", "fixed_goals", "strokes", "options"),
         describe="piegraph_cli.stages.trials:describe",
     ),
 )
@@ -106,12 +120,12 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.planning.told import step_arrays
     from piegraph_cli.process import choose_device, set_up_torch
-    from piegraph_cli.stages.learning import read_model
+    from piegraph_cli.stages.learning import calibrated, read_model
     from piegraph_cli.stages.steps import open_environment
 
     set_up_torch()
     model = _read_model(params)
-    trained = None if model is None else read_model(model)
+    trained = None if model is None else calibrated(read_model(model), _read_metrics(params))
     environment = open_environment(params.plan, Model(params.plan.model, trained))
     device = choose_device(context.device)
     episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal, device=device)
@@ -120,17 +134,20 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
         "goal": episode.goal,
         "start_distance": np.array(episode.start_distance),
         "end_distance": np.array(episode.end_distance),
+        "ending": np.array(episode.ending),
         "pd": np.array([particle_distance(state, episode.goal) for state in states]) / CENTIMETRE,
         "cd": np.array([chamfer_distance(state, episode.goal) for state in states]) / CENTIMETRE,
     }
-    quality = _quality(episode.end_distance, len(episode.steps), params.plan)
+    quality = _quality(episode.end_distance, len(episode.steps), params.plan, episode.ending)
     return Output(arrays, quality, tool_warnings(params.plan, tool_of(environment)))
 
 
-def _quality(end: float, strokes: int, plan: PlanParams) -> str:
-    if end < plan.success:
-        return f"{end * 100:.1f} cm from the goal after {counted(strokes, 'stroke')}"
-    return f"{end * 100:.1f} cm from the goal after {counted(strokes, 'stroke')}, not below {plan.success * 100:g} cm"
+def _quality(end: float, strokes: int, plan: PlanParams, ending: str) -> str:
+    text = f"{end * 100:.1f} cm from the goal after {counted(strokes, 'stroke')}"
+    if ending == "reached":
+        return text
+    why = "" if ending == "strokes spent" else f": {ending}"
+    return f"{text}, not below {plan.success * 100:g} cm{why}"
 
 
 def _read_model(params: TrialParams) -> "Artifact | None":
@@ -147,15 +164,27 @@ def _read_model(params: TrialParams) -> "Artifact | None":
             f"{command_line('run', env, '--run', folder)}, or "
             + command_line("train", "--run", folder, "--model", params.plan.model),
         )
-    return _read_once(params.network, key)
+    return _read_once(params.network, "model", key)
 
 
-@lru_cache(maxsize=8)
-def _read_once(path: Path, key: str | None) -> "Artifact":
-    """The model artifact, read once per process as long as its key stays."""
+def _read_metrics(params: TrialParams) -> "Artifact | None":
+    from piegraph_cli.workspace.artifact import read_key
+
+    if params.metrics is None:
+        return None
+    if not params.metrics.exists():
+        message = f"{params.plan.model} is not evaluated for {params.plan.env}: caution and stop need its errors"
+        hint = command_line("evaluate", "--run", params.metrics.parent.parent, "--models", params.plan.model)
+        raise DataError(message, str(params.metrics), hint)
+    return _read_once(params.metrics, "metrics", read_key(params.metrics, "metrics"))
+
+
+@lru_cache(maxsize=16)
+def _read_once(path: Path, artifact: str, key: str | None) -> "Artifact":
+    """An artifact of a trained run, read once per process as long as its key stays."""
     from piegraph_cli.workspace.artifact import read_artifact
 
-    return read_artifact(path, "model")
+    return read_artifact(path, artifact)
 
 
 def read_trials(run: "Run") -> list["Trial"]:

@@ -97,7 +97,7 @@ def add_models(
             own = train.trained_name(name)
             trained = read_model(read_artifact(run.path("model", own), "model")) if own else None
             params = ModelEvaluateParams(label=label, **settings)
-            rollouts.predicted[label] = [x for _, x in roll(found, trained, params, rollouts.longest)]
+            rollouts.predicted[label] = [x for _, x, _ in roll(found, trained, params, rollouts.longest)]
         except PiegraphError as error:
             rollouts.failed[label] = error.message
         done()

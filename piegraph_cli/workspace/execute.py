@@ -4,7 +4,7 @@ import contextlib
 import logging
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -99,9 +99,21 @@ def run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
     """
     run = Run(run.folder, run.recipe)
     try:
+        _check_before(run, [stage], options)
         return _run_stage(run, stage, options)
     finally:
         run.known.save()
+
+
+def _check_before(run: Run, stages: Sequence[Stage], options: Options) -> None:
+    """Have the stages that can look at what they will need, before the first of them takes its time."""
+    for stage in stages:
+        if stage.check is None:
+            continue
+        wanted = [u for u in run.units(stage) if not options.only or u in options.only]
+        todo = [u for u in wanted if options.force or not run.fresh(stage, u)]
+        for warning in stage.check(run, todo, min(options.jobs, len(todo))) if todo else ():
+            log.warning("%s: %s", stage.name, warning)
 
 
 def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
@@ -262,6 +274,8 @@ def run_chain(run: Run, until: str | None, options: Options) -> list[Outcome]:
     outcomes: list[Outcome] = []
     current = Run(run.folder, run.recipe)
     try:
+        last = next((k for k, stage in enumerate(current.chain) if stage.name == until), len(current.chain))
+        _check_before(current, current.chain[: last + 1], options)
         for stage in current.chain:
             begin = time.monotonic()
             found = _run_stage(current, stage, options)

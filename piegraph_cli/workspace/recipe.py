@@ -52,7 +52,9 @@ class Recipe:
         checked = _validate(stage, section, where)
         section = checked.model_dump(mode="json", by_alias=True, exclude_unset=True)
         try:
-            section |= {name: place for name, place in checked.placed(base).items() if name in values}
+            for name, place in checked.placed(base).items():
+                if name in values or name.partition(".")[0] in values:
+                    section = put(section, name, place)
             for name, several in checked:
                 if name in values and isinstance(several, tuple) and any(isinstance(file, Path) for file in several):
                     places = [os.path.realpath(base / file) for file in several]
@@ -80,6 +82,12 @@ class Recipe:
         plain = {name: _plain(section) for name, section in self.sections.items()}
         with atomic_file(path) as temporary:
             temporary.write_text(tomli_w.dumps(plain))
+
+
+def put(section: dict[str, Any], name: str, value: Any) -> dict[str, Any]:
+    """A section with one value in another's place; TABLE.NAME is one of a table in it."""
+    table, dot, inner = name.partition(".")
+    return section | {table: put(section.get(table, {}), inner, value) if dot else value}
 
 
 def load_recipe(path: Path, table: Table) -> Recipe:

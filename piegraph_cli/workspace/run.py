@@ -16,7 +16,7 @@ from piegraph_cli.params import Params
 from piegraph_cli.workspace.artifact import Artifact, Header, read_artifact
 from piegraph_cli.workspace.known import Known, files_below, known_of
 from piegraph_cli.workspace.locks import held
-from piegraph_cli.workspace.recipe import Recipe, load_recipe
+from piegraph_cli.workspace.recipe import Recipe, load_recipe, put
 from piegraph_cli.workspace.stage import Inputs, Stage, Table, Unit
 
 _as_json = json.JSONEncoder(sort_keys=True).encode
@@ -191,7 +191,9 @@ class Run:
             return kept
         settings = dict(of.content)
         for name, path in of.files.items():
-            settings[name] = self.known.content(path, partial(content_hash, path, name))
+            settings = put(
+                settings, name, self.known.content(path, partial(content_hash, path, name.rpartition(".")[2]))
+            )
         for name, (path, artifact) in of.params.artifacts().items():
             header = self.known.header(os.path.abspath(path), str(path), artifact)
             settings[name] = header.key if header else None

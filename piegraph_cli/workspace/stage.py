@@ -55,6 +55,8 @@ class Stage:
     """The command that makes one unit, for hints; by default a run of the recipe up to this stage."""
     belongs: Callable[["Run", Any], bool] | None = None
     """Whether a unit that a run was asked for before and does not name now is one of its own still: `clean` leaves it."""
+    check: Callable[["Run", Sequence[Any], int], list[str]] | None = None
+    """Of the units to be made, and how many at a time: what to tell before anything is done. Raises what would fail all."""
     call: Call = field(default_factory=Call)
 
     def load(self) -> Callable[..., "Output"]:

@@ -48,11 +48,12 @@ BOARDS = {
 ELSEWHERE = {
     r"view|serve": "serves until it is interrupted: tests/viewer, tests/service",
     r"record|look .*--live": "needs cameras: tests/capture",
-    r"simulate daxbench": "needs DaXBench: tests/environments/test_daxbench.py",
+    r"\w+ .*daxbench": "needs DaXBench: tests/environments/test_daxbench.py, tests/stages/test_steps.py",
     r"--install-completion": "changes the shell",
     r"reproduce": "hours; small ones: tests/test_experiments.py",
     r"doctor --fetch": "needs the network",
     r"hands .*--source": "needs a recording with a stick or a glove: tests/stages/test_end_effectors.py",
+    r"train .*--outline": "needs an outline: tests/dynamics",
     r"bench": "measures for minutes: tests/bench",
 }
 """Commands that cannot be run here, and where their tests are."""

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.outline import laid_on, outline_of
 from piegraph_cli.dynamics.params import RigidParams
-from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame, outline_of
+from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame, is_rigid
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.errors import DataError
 from piegraph_cli.physics.rigid import planar_fit
@@ -171,3 +172,76 @@ def test_picks_are_refused_and_what_bends_is_measured():
     bent = data.positions.copy()
     bent[1::2, :20, 0] += 0.04
     assert RigidBody(RigidParams()).fit(replace(data, positions=bent))[1] > 0.005
+
+
+L = np.array([[-0.006, -0.006], [0.138, -0.006], [0.138, 0.042], [0.042, 0.042], [0.042, 0.138], [-0.006, 0.138]])
+"""The outline of `shape`, whose particles are the middles of cells of 12 mm."""
+
+
+def drawn(yaw: float = 0.7) -> np.ndarray:
+    """The same in a frame of its own."""
+    return turned(np.column_stack([L, L[:, 0]]), 0.5, -1.0, yaw)[:, :2]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 3.0])
+def test_an_outline_in_any_frame_is_laid_on_its_particles(yaw):
+    """The L is its own mirror image about a diagonal, so the right turn shows in where the corners come to lie."""
+    body = shape()[:, :2]
+    np.testing.assert_allclose(laid_on(drawn(yaw), body), L, atol=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("corners", "message", "hint"),
+    [
+        (L * 1000 / 25.4, "measures .* mm, the particles .* mm", "these are inches"),
+        (L * 100, "measures", "these are centimetres"),
+        (L * 1.4, "measures", "the outline of this body, in metres"),
+        (np.array([[0, 0], [0.144, 0], [0.144, 0.144], [0, 0.144]]), "of its inside has none near", "of this body"),
+        (np.array([[0, 0], [0.19, 0], [0.19, 0.025], [0, 0.025]]), "lie outside of it", "of this body"),
+    ],
+)
+def test_an_outline_of_another_body_or_unit_is_refused(corners, message, hint):
+    with pytest.raises(DataError, match=message) as fault:
+        laid_on(corners, shape()[:, :2])
+    assert hint in str(fault.value.hint)
+
+
+def test_an_outline_seen_from_below_is_told():
+    body = shape()[:, :2]
+    body = body[body[:, 0] < 0.09]
+    corners = np.minimum(L, [0.09, 1.0])
+    laid_on(corners, body)
+    with pytest.raises(DataError) as fault:
+        laid_on(corners * [-1, 1], body)
+    assert "turn its y over" in str(fault.value.hint)
+
+
+def test_a_body_pushes_by_the_outline_it_is_given_and_keeps_it():
+    """Of few particles an alpha shape is too small; the pusher's true reach is found with the true outline alone."""
+    data = pushed([0.4, 0.035, 0.012, 0.0, 0.0], 12)
+    body, other = RigidBody(RigidParams()), RigidBody(RigidParams())
+    body.fit(data, drawn())
+    assert len(body.edges) == 6
+    assert body.numbers[2].item() == pytest.approx(0.006, abs=2e-3)  # the outline is 6 mm outside of the particles
+    other.load_state_dict(body.state_dict())
+    assert torch.equal(body.edges, other.edges)
+
+
+def test_numbers_that_are_not_fitted_stay_as_given():
+    data = pushed([0.4, 0.035, 0.012, 0.0, 0.0], 4)
+    body = RigidBody(RigidParams(fit=False, friction=0.3, reach=0.02))
+    body.fit(data)
+    gyration = np.sqrt(np.square(data.rest[0][:, :2] - data.rest[0][:, :2].mean(0)).sum(1).mean())
+    np.testing.assert_allclose(body.numbers, [0.3, 0.8 * gyration, 0.02, 0, 0], rtol=1e-5)
+
+
+def test_what_is_rigid_is_told_and_nothing_else_is():
+    data = pushed([0.4, 0.035, 0.012, 0.0, 0.0], 8)
+    assert is_rigid(data)
+    assert not is_rigid(replace(data, mode=np.ones(8, np.uint8)))
+    noise = np.random.default_rng(0).normal(0, 0.004, data.positions.shape).astype(np.float32)
+    assert not is_rigid(replace(data, positions=data.positions + noise))
+    still = np.repeat(data.positions[::2], 2, axis=0)
+    assert not is_rigid(replace(data, positions=still)), "strokes that miss say nothing"
+    line = data.positions * np.array([1, 0.02, 1], np.float32)
+    assert not is_rigid(replace(data, positions=line, rest=line[::2])), "a rope that stays straight"

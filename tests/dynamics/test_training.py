@@ -176,14 +176,13 @@ def test_another_cycle_as_long_as_all_before_begins_where_the_last_one_gained_3_
 
 def test_taken_up_again_in_a_later_cycle_it_stops_where_it_would_have():
     params = EGNNParams(hidden=8, layers=2, steps=4, cycles=4)
-    first = Trainer(make_network("piegraph", params, False, 0), pairs(), Foreseen([1.0, 0.9, 0.89]), params, 0)
-    whole = first
-    while not first.finished and first.done < 10:
-        first.step()
-        if first.done == first.cycle[0]:
-            first.record()
+    whole = Trainer(make_network("piegraph", params, False, 0), pairs(), Foreseen([1.0, 0.9, 0.89]), params, 0)
+    while whole.done < 10:
+        whole.step()
+        if whole.done == whole.cycle[0]:
+            whole.record()
     again = Trainer(make_network("piegraph", params, False, 0), pairs(), Foreseen([0.89]), params, 0)
-    again.load(first.state())
+    again.load({name: value.copy() for name, value in whole.state().items()})  # as a file would keep it
     for trainer in (whole, again):
         while not trainer.finished:
             trainer.step()

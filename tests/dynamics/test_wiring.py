@@ -19,7 +19,7 @@ from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_pre
 from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TRAINED_AS, PredictionParams, SMSParams
 from piegraph_cli.dynamics.rigid_body import RigidBody
 from piegraph_cli.errors import DataError
-from piegraph_cli.physics import simulation
+from piegraph_cli.physics import pushing, simulation
 from piegraph_cli.physics.rigid import rigid_projection
 from piegraph_cli.physics.springs import build_springs
 from tests import strokes as of_strokes
@@ -88,7 +88,7 @@ def alone(name: str, rest: torch.Tensor = REST, picks: bool = False, now: torch.
     network, moves = trained(name, picks).network, strokes(picks)
     now = now.expand(BATCH, -1, -1).clone()
     if isinstance(network, sms.SMS):
-        return network.move(simulation.push, now, moves, build_springs(rest.numpy(), network.params.radius))
+        return network.move(pushing.push, now, moves, sms.object_springs(rest.numpy(), network.params.radius))
     if isinstance(network, (pgnd.PGND, gbnd.GBND)):
         return torch.cat([step_by_step(network, now[k : k + 1], moves[k]) for k in range(BATCH)])
     at_rest = Rest.of(rest[None], network.neighbors).expand(BATCH)
@@ -154,8 +154,8 @@ def test_springs_as_given_are_those_of_the_defaults():
     """Whatever is trained: `sms-no` takes nothing from it but whether springs only pull."""
     for tension_only in (False, True):
         network = sms.SMS(SMSParams(tension_only=tension_only))
-        graph = build_springs(REST.numpy(), SMSParams().radius)
-        expected = network.move(simulation.push, NOW.expand(BATCH, -1, -1), strokes(), graph)
+        graph = sms.object_springs(REST.numpy(), SMSParams().radius)
+        expected = network.move(pushing.push, NOW.expand(BATCH, -1, -1), strokes(), graph)
         close(predict("sms-no", tension_only=tension_only), expected, 2e-3)
     assert apart(predict("sms-no", tension_only=True), predict("sms-no")) > 1e-3
 

@@ -11,14 +11,19 @@ pytest.importorskip("gymnasium", reason="the `sim` extra is not installed: pip i
 
 from daxbench_stand_in import PUSH_UP, REPO, make_daxbench
 from gymnasium.utils.env_checker import check_env
+from torch.nn.functional import pad
 
 from piegraph_cli import environments
 from piegraph_cli.dynamics.cutting import cut_strokes, frame_pairs
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.environments import daxbench, daxbench_child
+from piegraph_cli.environments.params import VARIABLES
 from piegraph_cli.environments.recording import simulate_tracks
 from piegraph_cli.errors import DataError, MissingError, UsageError
 from piegraph_cli.params import PUSH
-from piegraph_cli.planning.episode import tool_of
+from piegraph_cli.planning import planner
+from piegraph_cli.planning.episode import play, tool_of
+from piegraph_cli.planning.goals import Goal
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import Tool, pusher_radius, stroke_space
 
@@ -209,7 +214,13 @@ def test_a_diverged_simulation_is_an_error_and_the_state_stays(monkeypatch):
     env.close()
 
 
-def test_what_is_missing_is_named(tmp_path):
+@pytest.fixture
+def nothing_named(monkeypatch):
+    for variable in VARIABLES.values():
+        monkeypatch.delenv(variable, raising=False)
+
+
+def test_what_is_missing_is_named(tmp_path, nothing_named):
     python, repo = sys.executable, str(REPO)
     for options, flag in [
         ({}, "--daxbench-python"),
@@ -217,11 +228,37 @@ def test_what_is_missing_is_named(tmp_path):
         ({"repo": repo}, "--daxbench-python"),
         ({"python": str(tmp_path / "none"), "repo": repo}, "--daxbench-python"),
         ({"python": python, "repo": str(tmp_path)}, "--daxbench-repo"),
+        ({}, "PIEGRAPH_DAXBENCH_PYTHON=PATH"),
     ]:
         with pytest.raises(MissingError) as error:
             environments.make("daxbench-rope", 50, options)
         assert flag in error.value.hint
         assert "docs/daxbench.md" in error.value.hint
+
+
+def test_the_shell_may_name_interpreter_and_repository(monkeypatch, nothing_named, tmp_path):
+    monkeypatch.setenv("PIEGRAPH_DAXBENCH_PYTHON", sys.executable)
+    with pytest.raises(MissingError, match="repository is not given"):
+        environments.make("daxbench-rope", 50)
+    monkeypatch.setenv("PIEGRAPH_DAXBENCH_REPO", str(REPO))
+    environments.make("daxbench-rope", 50).check()
+    with pytest.raises(MissingError, match="no DaXBench repository"):  # what is given counts before it
+        environments.make("daxbench-rope", 50, {"repo": str(tmp_path)})
+
+
+def test_plans_end_inside_the_walls_and_are_carried_out_whole(tshirt, monkeypatch):
+    moved = sure(lambda x, s: x + pad(s.along, (0, 1))[:, None])
+    monkeypatch.setattr(planner, "make_foresee", lambda *_: moved)
+    wall = 0.5 * tshirt._frame.scale - 0.01
+    assert tshirt.walls == pytest.approx([-wall, wall, -wall, wall])
+
+    far = Goal.of_particles(tshirt.particles() + np.float32([0.29, 0.0, 0]))
+    params = PlanParams(model="static", samples=40, strokes=3, success=0.001)
+    ends = play(tshirt, None, params, lambda state: far, start=0, goal=0).strokes.end.numpy()
+    assert 0.2 < np.abs(ends).max() <= wall + 1e-6
+    for end in ends:  # the picker gets where it was sent
+        info = tshirt.step({"start": tshirt.particles()[7, :2], "end": end, "mode": 1})[4]
+        np.testing.assert_allclose(info["pusher"][-1, :2], end, atol=1e-5)
 
 
 def test_wrong_uses_are_refused(tshirt):

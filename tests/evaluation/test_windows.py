@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation import windows
 from piegraph_cli.evaluation.params import ModelEvaluateParams
@@ -43,7 +44,7 @@ def rows(of: dict[str, np.ndarray], true: np.ndarray | None = None, **settings) 
     params = ModelEvaluateParams(**{"label": "static", "horizons": (1, 2, 3)} | settings)
     found = list(windows.window_metrics(of, true, None, params))
     assert len({row[:2] for row in found}) == len(found)
-    return {row[:2]: row[2:] for row in found}
+    return {row[:2]: row[2:6] for row in found}
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def predicted(monkeypatch):
 
     def put(model: Callable) -> list[tuple]:
         made = []
-        monkeypatch.setattr(windows, "make_predict", lambda *given: made.append(given) or model)
+        monkeypatch.setattr(windows, "make_foresee", lambda *given: made.append(given) or sure(model))
         return made
 
     return put

@@ -8,19 +8,17 @@ import pytest
 
 from piegraph_cli.dynamics.params import TrainParams
 from piegraph_cli.evaluation.trials import Trial
+from piegraph_cli.experiments import tables
 from piegraph_cli.experiments.params import ExperimentParams
+from piegraph_cli.experiments.pieces import Training
 from piegraph_cli.experiments.recipes import load_experiment, recipe_of, trial_recipe
-from piegraph_cli.experiments.results import Results
+from piegraph_cli.experiments.results import Empty, Results
+from piegraph_cli.experiments.search import search_lines, search_rows
 from piegraph_cli.experiments.tables import describe
 from piegraph_cli.stages import STAGES
 
 PAPER = {"tblock": {"1": (4.0, 1.0), "2": (9.0, 3.0)}, "toy": {"1": (12.0, 6.0)}}
-LOSSES = {
-    "piegraph:slow": [[0.5, 0.3, 0.4]],
-    "piegraph:fast": [[0.2, np.nan, 0.9], [0.3, 0.4, 0.8]],
-    "gnn": [[0.7]],
-    "pgnd": [[0.9]],
-}
+LOSSES = {"piegraph:slow": [0.3], "piegraph:fast": [0.2, 0.3], "gnn": [0.7], "pgnd": [0.9]}
 
 
 def metrics(*by_horizon: float) -> SimpleNamespace:
@@ -28,9 +26,9 @@ def metrics(*by_horizon: float) -> SimpleNamespace:
     pd = np.concatenate([[value - 0.25, value + 0.25] for value in by_horizon])
     names = np.tile([b"sequence_0000", b"sequence_0001"], len(by_horizon))
     columns = {"pd": pd, "cd": 10 * pd, "s": 100 * pd, "pd_truth": np.full(len(pd), np.nan)}
-    return SimpleNamespace(
-        arrays={"horizon": np.repeat(np.arange(len(by_horizon)) + 1, 2), "sequence": names, **columns}
-    )
+    horizons = dict.fromkeys(range(1, len(by_horizon) + 1), 2)
+    arrays = {"horizon": np.repeat(np.arange(len(by_horizon)) + 1, 2), "sequence": names, **columns}
+    return SimpleNamespace(arrays=arrays, windows=horizons, training=None)
 
 
 def experiment(table: str, **settings: Any) -> ExperimentParams:
@@ -40,6 +38,12 @@ def experiment(table: str, **settings: Any) -> ExperimentParams:
 
 def results(metrics=None, models=None, trials=()) -> Results:
     return Results(metrics or {}, models or {}, list(trials), {})
+
+
+@pytest.fixture(autouse=True)
+def of_no_origin(monkeypatch):
+    """Where figures come from is tested with pieces."""
+    monkeypatch.setattr(tables, "origin_lines", lambda pieces: [])
 
 
 def described(params: ExperimentParams, found: Results) -> tuple[dict[str, Any], list[list[str]]]:
@@ -171,14 +175,17 @@ def test_fewer_sequences_cost_what_the_error_grows_by():
     )
 
 
+def trained(loss: float | None) -> SimpleNamespace:
+    return SimpleNamespace(training=Training(steps=9, parameters=3, loss=loss))
+
+
 def test_the_best_of_a_search_has_the_lowest_validation_loss():
-    models = {label: [{"validation_loss": np.array(loss)} for loss in seeds] for label, seeds in LOSSES.items()}
-    others = {
-        "piegraph:slow@6": [{"validation_loss": np.array([0.1])}],
-        "piegraph:fast@6": [{"validation_loss": [0.6]}],
-    }
-    value, lines = described(experiment("search"), results(models={"tblock": models, "toy": others}))
-    rows = {(r["environment"], r["model"]): (r["loss"], r["best"]) for r in value["search"]}
+    models = {label: [trained(loss) for loss in seeds] for label, seeds in LOSSES.items()}
+    others = {"piegraph:slow@6": [trained(0.1)], "piegraph:fast@6": [trained(0.6)]}
+    variants = {"piegraph:slow": {"learning_rate": 1e-3}, "piegraph:fast": {"learning_rate": 0.002, "mirror": False}}
+    params = experiment("search", variants=variants)
+    found = results(models={"tblock": models, "toy": others})
+    rows = {(r["environment"], r["model"]): (r["loss"], r["best"]) for r in search_rows(found)}
     assert rows == {
         ("tblock", "piegraph:slow"): (pytest.approx(0.3), False),
         ("tblock", "piegraph:fast"): (pytest.approx(0.25), True),
@@ -187,14 +194,35 @@ def test_the_best_of_a_search_has_the_lowest_validation_loss():
         ("toy", "piegraph:slow@6"): (pytest.approx(0.1), True),
         ("toy", "piegraph:fast@6"): (pytest.approx(0.6), False),
     }
-    marked = [line[:3] for line in lines if line[-1:] == ["*"]]
-    assert marked == [
+    lines = search_lines(params, search_rows(found))
+    assert [line.split()[:3] for line in lines if line.endswith("*")] == [
         ["tblock", "piegraph:fast", "0.25000"],
         ["tblock", "gnn", "0.70000"],
         ["tblock", "pgnd", "0.90000"],
         ["toy", "piegraph:slow@6", "0.10000"],
     ]
-    assert "predictions" not in value
+    assert (
+        lines[-8:]
+        == [
+            "",
+            "# pipelines/tblock.toml: the best of `piegraph reproduce search`",
+            "[train.piegraph]",
+            "learning_rate = 0.002",
+            "mirror = false",
+            "",
+            "# pipelines/toy.toml: the best of `piegraph reproduce search`",
+            "[train.piegraph]",
+            "learning_rate = 0.001",
+        ][-8:]
+    )
+    assert "predictions" not in describe(params, Results({}, {}, [], {}))[0]
+
+
+def test_a_search_without_one_of_a_models_candidates_has_no_best_of_it():
+    of = {"tblock": {"gnn:a@6": [trained(0.1)], "gnn:b@6": [trained(0.2)], "pgnd:a@6": [trained(0.4)]}}
+    empty = [Empty("tblock", "gnn:c@6", "not measured"), Empty("tblock", "pgnd:b@6", "failed: diverged", tried=True)]
+    found = Results({}, of, [], {}, empty)
+    assert {r["model"]: r["best"] for r in search_rows(found)} == {"gnn:a@6": False, "gnn:b@6": False, "pgnd:a@6": True}
 
 
 def test_trials_are_in_the_table_with_the_verdict_of_cliffs_delta():

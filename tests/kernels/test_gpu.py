@@ -1,6 +1,7 @@
 """On a GPU: kernels against the references in float64 and against those of the CPU, streams, recorded plans, training."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,14 +10,14 @@ import torch
 from piegraph_cli.bench.kernels import graph_of, random_object
 from piegraph_cli.bench.pipeline import carried_sequences
 from piegraph_cli.dynamics.egnn import EGNN, Rest
-from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict, recordable
+from piegraph_cli.dynamics.models import MODELS, Trained, make_foresee, make_network, recordable
 from piegraph_cli.dynamics.network_kernel import NetworkKernel
 from piegraph_cli.dynamics.params import BY_GRADIENT, EGNNParams
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.params import PUSH
-from piegraph_cli.physics import simulation, spring_kernel
+from piegraph_cli.physics import pushing, simulation, spring_kernel
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.springs import stability_bound
+from piegraph_cli.physics.springs import contour, stability_bound
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
@@ -84,9 +85,10 @@ def test_a_pusher(held):
     angle = torch.linspace(0, 2 * np.pi, 40)
     travel = torch.linspace(-0.25, 0.1, 400)[None, :, None]
     path = start.mean(1, keepdim=True)[..., :2] + travel * torch.stack([angle.cos(), angle.sin()], -1)[:, None]
-    params = simulation.PushParams(friction=0.5, gravity=1e-5, radius=0.025)
-    true = simulation.push(start.double(), path.double(), GRAPH, params, grip if held else None)
-    found = spring_kernel.push(start.cuda(), path.cuda(), GRAPH, params, grip.cuda() if held else None)
+    params = pushing.PushParams(friction=2e-5, grip=0.4, radius=0.025)
+    graph = replace(GRAPH, contour=contour(start[0].numpy()))
+    true = pushing.push(start.double(), path.double(), graph, params, grip if held else None)
+    found = spring_kernel.push(start.cuda(), path.cuda(), graph, params, grip.cuda() if held else None)
     assert float((found.cpu() - true).abs().max()) < 1e-5
 
 
@@ -137,8 +139,8 @@ def make_search(device: str, record: bool) -> tuple[Search, torch.Tensor]:
     state = rest.to(device)
     cost = make_cost("distance", state + torch.tensor([0.05, 0.02, 0.0], device=device), 50)
     space = stroke_space(state, params, (PUSH,), params.pusher_radius)
-    predict = make_predict("piegraph", trained, state, params)
-    return Search(predict, cost, space, params, torch.Generator(device).manual_seed(0), record), state
+    foresee = make_foresee("piegraph", trained, state, params)
+    return Search(foresee, cost, space, params, torch.Generator(device).manual_seed(0), record), state
 
 
 def test_a_recorded_plan_is_that_of_the_same_search_step_by_step():

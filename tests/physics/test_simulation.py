@@ -1,6 +1,7 @@
 """The spring-mass system in motion: guidance, contact with table and pusher, gradients."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from pydantic import ValidationError
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.params import GuidanceParams
-from piegraph_cli.physics.simulation import PushParams, drive, guide, push
-from piegraph_cli.physics.springs import build_springs, stability_bound
+from piegraph_cli.physics.pushing import PushParams, push
+from piegraph_cli.physics.simulation import drive, guide
+from piegraph_cli.physics.springs import build_springs, contour, stability_bound
 from tests.physics.objects import particles, turned
 
 REST = particles()
@@ -170,12 +172,48 @@ def test_friction_stops_what_slides():
 def test_the_pusher_is_never_entered_and_pushes():
     path = stroke((-0.2, 0.0), (0.05, 0.0), 600)
     graph = build_springs(REST, 0.08)
-    params = PushParams(0.15, friction=0.2, gravity=1e-5, radius=0.025)  # the disc is wider than the gaps
+    params = PushParams(0.15, friction=1e-5, radius=0.025)  # the disc is wider than the gaps
     for steps in (450, 520, 600):
         state = push(START[None], path[:, :steps], graph, params)[0]
         assert float((state[:, :2] - path[0, steps - 1]).norm(dim=1).min()) >= 0.025 - 1e-9
     # the stem, 2.5 cm left of the middle, makes way for an edge that ends at 7.5 cm, less where it is round
     assert 0.07 < float((state - START)[:, 0].mean()) < 0.11
+
+
+def test_a_pusher_does_not_slip_through_a_gap_of_the_contour():
+    """Two particles 6 cm apart, a disc of 1 cm between them: alone they are not touched, as ends of a segment they go along."""
+    pair = np.array([[0, -0.03, 0], [0, 0.03, 0]])
+    path, start = stroke((-0.05, 0.0), (0.05, 0.0), 200), torch.as_tensor(pair)[None]
+    alone = build_springs(pair, 0.1)
+    torch.testing.assert_close(push(start, path, alone), start)
+    joined = push(start, path, replace(alone, contour=contour(pair)), PushParams(friction=1e-4))
+    torch.testing.assert_close(joined[0, :, 0], torch.full((2,), 0.06).double(), atol=1e-3, rtol=0)
+
+
+def test_what_is_pushed_stops_where_friction_has_taken_its_speed():
+    one = build_springs(np.zeros((1, 3)), 0.05)
+    path = stroke((-0.05, 0.0), (0.0, 0.0), 51)  # 1 mm per iteration
+
+    def goes(friction):
+        still = torch.cat([path, path[:, -1:].expand(-1, 100, -1)], 1)
+        params = PushParams(damping=1.0, friction=friction, radius=0.02)
+        return float(push(torch.zeros(1, 1, 3).double(), still, one, params)[0, 0, 0]) - 0.02
+
+    assert goes(5e-5) == pytest.approx(1e-3**2 / 2 / 5e-5, abs=6e-4)  # v² / 2 μ g
+    assert goes(2e-3) == pytest.approx(0, abs=1e-9)
+
+
+def test_a_pusher_that_grips_drags_along_what_it_passes():
+    """A disc that passes 1 mm into a particle, to its side: without friction it leaves it almost where it was."""
+    one = build_springs(np.zeros((1, 3)), 0.05)
+    path = stroke((-0.1, 0.019), (0.1, 0.019), 400)
+
+    def ahead(grip):
+        params = PushParams(friction=1e-3, radius=0.02, grip=grip)
+        return float(push(torch.zeros(1, 1, 3).double(), path, one, params)[0, 0, 0])
+
+    assert abs(ahead(0.0)) < 0.01
+    assert ahead(2.0) > ahead(0.0) + 0.003
 
 
 def test_a_particle_in_the_middle_of_the_pusher_leaves_it():

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.params import GuidanceParams
 from piegraph_cli.physics.simulation import drive
-from piegraph_cli.physics.springs import SpringGraph, build_springs, farthest_point_sample, stability_bound
+from piegraph_cli.physics.springs import SpringGraph, build_springs, contour, farthest_point_sample, stability_bound
 from tests.physics.objects import particles
 
 
@@ -25,6 +25,16 @@ def test_springs_are_the_pairs_within_the_radius():
     expected = np.argwhere(np.triu(distance <= 0.05, 1))
     np.testing.assert_array_equal(graph.pairs, expected)
     np.testing.assert_allclose(graph.rest_length, distance[tuple(expected.T)])
+
+
+def test_a_contour_joins_neighbours_and_closes_no_notch():
+    """A row of particles is a chain; the two ends of an L are not joined over its corner, and heights do not count."""
+    row = np.array([[0.01 * k, 0, 0.02 * (k % 2)] for k in range(5)])
+    chain = {(k, k + 1) for k in range(4)}
+    assert set(map(tuple, contour(row).tolist())) == chain
+    bend = np.concatenate([row, [[0.04, 0.01 * k, 0] for k in range(1, 5)]])
+    assert set(map(tuple, contour(bend).tolist())) == chain | {(4, 5), (5, 6), (6, 7), (7, 8)}
+    np.testing.assert_array_equal(contour(row[:1]), [[0, 0]])
 
 
 def test_spanning_tree_joins_two_parts_by_their_shortest_gap():

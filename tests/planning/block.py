@@ -9,6 +9,7 @@ class Block(Environment):
     """Goals are 8 cm to the right."""
 
     pusher_radius = 0.024
+    walls = None
 
     def __init__(self):
         super().__init__(36)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.planning import episode, planner
 from piegraph_cli.planning.goals import Goal
@@ -27,6 +28,7 @@ class Table:
 
     modes = (PUSH, PICK)
     pusher_radius = 0.01
+    walls = None
 
     def __init__(self):
         self.resets, self.actions = [], []
@@ -52,7 +54,7 @@ class Rehearsal:
         self.table, self.made, self.seen = Table(), [], []
         self.environments: list[tuple[str, int, Any]] = []
         patch.setattr(steps, "make_environment", self._environment)
-        patch.setattr(planner, "make_predict", self._model)
+        patch.setattr(planner, "make_foresee", self._model)
 
     def _environment(self, name: str, particles: int, params: Any) -> Table:
         self.environments.append((name, particles, params))
@@ -65,7 +67,7 @@ class Rehearsal:
             self.seen.append(positions.clone())
             return positions + of_strokes.motion(strokes)[:, None]
 
-        return predict
+        return sure(predict)
 
     def play(self, start: int = 0, goal: int = 0, **settings: Any):
         """The episode, and the last state."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.dynamics.params import PredictionParams
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH
@@ -13,7 +14,7 @@ from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH
 from piegraph_cli.planning.search import INFEASIBLE, Search
-from piegraph_cli.stages.simulate import make_environment
+from piegraph_cli.stages.steps import make_environment
 from tests import strokes as of_strokes
 from tests.planning.table import ANYWHERE, SQUARE, Rehearsal, choose_modes, plan_stage, planner_of, space_of
 
@@ -25,6 +26,7 @@ CHANGES = {
     "daxbench_python": ("python3", "environment"),
     "daxbench_repo": ("repo", "environment"),
     "seed": (1, "start"),
+    "fixed_goals": (True, "start"),
     "model": ("sms-no", "model"),
     "cost": ("chamfer", "costs"),
     "modes": (("pick",), "candidates"),
@@ -52,6 +54,8 @@ CHANGES = {
 OF_MODELS = dict.fromkeys(PredictionParams.model_fields, 0.5) | {"iterations": 3, "tension_only": True}
 OF_THE_STAGE = {"state", "goal", "goal_pose", "goal_at", "episodes", "table", "frame", "cameras"}
 OF_THE_PATH = {"approach_height", "speed"}
+OF_ERRORS = {"caution", "stop", "remember", "look_every"}
+"""Of no effect on a model that is never wrong and not calibrated: `test_experience` has them."""
 BASES = {"temperature": MPPI, "noise": MPPI}
 
 
@@ -103,7 +107,7 @@ ORDER = [
 
 @pytest.mark.parametrize("field", [*CHANGES, *OF_MODELS])
 def test_every_setting_changes_what_it_is_a_setting_of_and_nothing_before(field):
-    assert {*CHANGES, *OF_MODELS, *OF_THE_STAGE, *OF_THE_PATH} == set(PlanParams.model_fields)
+    assert {*CHANGES, *OF_MODELS, *OF_THE_STAGE, *OF_THE_PATH, *OF_ERRORS} == set(PlanParams.model_fields)
     value, first = CHANGES.get(field, (OF_MODELS.get(field), "model"))
     base = BASES.get(field, {})
     before, after = observed(**base), observed(**base | {field: value})
@@ -270,7 +274,7 @@ def carried(positions, strokes):
 def search(space, predict=carried, seed: int = 0, **settings):
     state = torch.as_tensor(SQUARE)
     cost = make_cost("distance", state + torch.tensor([0.08, 0.0, 0.0]), len(state))
-    return Search(predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
+    return Search(sure(predict), cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])
@@ -398,7 +402,7 @@ def test_greedy_picks_the_worst_particle_and_needs_to_know_where_it_belongs():
     goal[3, :2] += 0.1
     goal[7, :2] -= 0.2
     _, make_plan = planner_of(SQUARE, goal, planner="greedy", model="static")
-    plan = make_plan(torch.as_tensor(SQUARE))
+    plan = make_plan(torch.as_tensor(SQUARE), ())
     np.testing.assert_allclose(of_strokes.start(plan.strokes)[0], SQUARE[7, :2])
     np.testing.assert_allclose(of_strokes.end(plan.strokes)[0], goal[7, :2])
     for refused in ({"corresponds": False}, {"known": (PUSH,)}):

@@ -103,7 +103,7 @@ def test_what_a_model_has_learned_counts_only_where_it_is_asked():
     )
     picks = {"modes": ("pick",), "samples": 8, "cem_iterations": 1}
     _, make_plan = make_planner(pushes, state, goal, PlanParams(model="static", **picks), Tool(), [0])
-    assert make_plan(torch.as_tensor(state)).strokes.mode.tolist() == [PICK]
+    assert make_plan(torch.as_tensor(state), ()).strokes.mode.tolist() == [PICK]
     with pytest.raises(UsageError, match="trained on push only"):
         make_planner(pushes, state, goal, PlanParams(model="piegraph", **picks), Tool(), [0])
 

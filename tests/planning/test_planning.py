@@ -1,16 +1,19 @@
 """Proposals touch the object, costs measure what they say, CEM finds known optima, the loop stops when it is done."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from piegraph_cli.dynamics.models import sure
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.planning.costs import make_cost
+from piegraph_cli.planning.experience import Tried
 from piegraph_cli.planning.greedy import put_worst_right
 from piegraph_cli.planning.mpc import run_episode
 from piegraph_cli.planning.params import PlanParams
@@ -112,7 +115,7 @@ def test_the_earth_movers_distance_matches_particles_one_to_one():
 
 
 def search(state, predict, cost, space, seed: int = 0, **settings):
-    return Search(predict, cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
+    return Search(sure(predict), cost, space, PlanParams(**settings), torch.Generator().manual_seed(seed))(state)
 
 
 @pytest.mark.parametrize("horizon", [1, 2])
@@ -180,7 +183,12 @@ def test_the_greedy_planner_carries_the_worst_particle_to_its_place():
     assert plan.strokes.mode[0] == PICK
     x, y = (SQUARE[7, :2] + goal[7, :2]).tolist()
     between = (x / 2 - 0.01, x / 2 + 0.01, y / 2 - 0.01, y / 2 + 0.01, 0.0, 0.3)
-    assert put_worst_right(SQUARE, goal, cost, replace(PICKS, keep_out=(between,))) is None
+    walled = replace(PICKS, keep_out=(between,))
+    assert put_worst_right(SQUARE, goal, cost, walled) is None
+    assert put_worst_right(goal, goal, cost, PICKS) is None, "all is in place"
+    goal[30, :2] += torch.tensor([0.02, -0.1])
+    second = put_worst_right(SQUARE, goal, cost, walled)
+    torch.testing.assert_close(second.strokes[0].ends, torch.stack([SQUARE[30, :2], goal[30, :2]]))
 
 
 def test_cem_ends_when_its_elites_are_as_good_as_the_best():
@@ -231,7 +239,7 @@ def test_a_search_goes_on_while_nothing_is_feasible(planner):
 
     params = PlanParams(samples=8, cem_iterations=3, planner=planner, converged=1.0)
     cost, generator = make_cost("distance", SQUARE, 36), torch.Generator().manual_seed(0)
-    plan = Search(carried, cost, Lucky(), params, generator)(SQUARE)
+    plan = Search(sure(carried), cost, Lucky(), params, generator)(SQUARE)
     assert plan is not None
     assert plan.cost == pytest.approx(0.1 * math.sqrt(2), rel=1e-4)
 
@@ -279,16 +287,23 @@ def test_the_loop_stops_at_success_at_its_limit_before_the_first_stroke_and_with
         world = carried(world[None], Strokes.stack([stroke]))[0]
         return world.numpy(), False
 
-    def make_plan(state: torch.Tensor):
+    def make_plan(state: torch.Tensor, tried: Sequence[Tried]):
         return search(state, carried, cost, SPACE)
 
-    steps = list(run_episode(SQUARE.numpy(), make_plan, act, cost, strokes=10, success=0.02))
+    def play(begin: torch.Tensor, plan=make_plan, strokes: int = 10):
+        return run_episode(begin.numpy(), plan, act, cost, strokes=strokes, success=0.02)
+
+    steps, ending = play(SQUARE)
     assert 2 <= len(steps) <= 4
     assert steps[-1].distance < 0.02 <= steps[-2].distance
-    assert len(list(run_episode(world.numpy(), make_plan, act, cost, strokes=10, success=0.02))) == 0
+    assert ending == "reached"
+    for step in steps:  # each keeps what was predicted for itself
+        np.testing.assert_allclose(step.plan.predicted[0], step.after, atol=1e-6)
+    assert play(world) == ([], "reached")
     world = SQUARE.clone()
-    assert len(list(run_episode(SQUARE.numpy(), make_plan, act, cost, strokes=1, success=0.02))) == 1
-    assert list(run_episode(SQUARE.numpy(), lambda _: None, act, cost, strokes=5, success=0.02)) == []
+    steps, ending = play(SQUARE, strokes=1)
+    assert (len(steps), ending) == (1, "strokes spent")
+    assert play(SQUARE, lambda *_: None) == ([], "no stroke is possible")
 
 
 def test_contacts_in_parts_are_those_of_all_at_once():

@@ -155,10 +155,14 @@ def metrics(names: list[str], unit: str | None) -> dict[str, Any]:
     """Errors of a model on all sequences but the first: `static` is 3 cm off, others 1 cm."""
     held = names[1:] or names
     far = 3.0 if unit == "static" else 1.0
-    rows = [(h, name, 0, far, far / 2, far * h + 0.1 * k, np.nan) for k, name in enumerate(held) for h in (1, 2)]
-    return dict(
-        zip(("horizon", "sequence", "first_stroke", "cd", "s", "pd", "pd_truth"), zip(*rows, strict=True), strict=True)
-    )
+    rows = [
+        (h, name, 0, far, far / 2, far * h + 0.1 * k, np.nan, h * moved, 0.0)
+        for k, name in enumerate(held)
+        for h in (1, 2)
+        for moved in [0.0 if unit == "static" else 4 + 0.1 * k]
+    ]
+    columns = ("horizon", "sequence", "first_stroke", "cd", "s", "pd", "pd_truth", "motion", "correction")
+    return dict(zip(columns, zip(*rows, strict=True), strict=True))
 
 
 def _dataset(names: list[str], unit: str | None) -> dict[str, Any]:
@@ -192,6 +196,7 @@ def _plan(names: list[str], unit: str | None) -> dict[str, Any]:
         "predicted": state + 0.04,
         "after": state + 0.045,
         "cost": [0.012],
+        "expected_error": [0.004],
         "distance": [0.009],
         "blocked": [False],
         "seconds": [0.1],
@@ -205,6 +210,7 @@ def _plan(names: list[str], unit: str | None) -> dict[str, Any]:
         "seed": [0],
         "start_distance": [0.08],
         "end_distance": [0.009],
+        "ending": ["reached"],
     }
 
 

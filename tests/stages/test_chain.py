@@ -10,12 +10,14 @@ import torch
 from piegraph_cli.dynamics.params import LEARNED
 from piegraph_cli.errors import DataError, InputError
 from piegraph_cli.evaluation.params import ModelEvaluateParams
-from piegraph_cli.stages import STAGES, dataset, evaluate, open_run, plan, sequences, trials
+from piegraph_cli.evaluation.reliability import calibration_of
+from piegraph_cli.stages import STAGES, dataset, evaluate, models, open_run, plan, sequences, trials
 from piegraph_cli.stages.learning import read_model, read_sequence
 from piegraph_cli.stages.models import load_model, save_model
 from piegraph_cli.stages.points import read_points
+from piegraph_cli.stages.train import RIGID
 from piegraph_cli.text import plain
-from piegraph_cli.workspace.artifact import read_artifact
+from piegraph_cli.workspace.artifact import read_artifact, write_artifact
 from piegraph_cli.workspace.execute import Options, run_chain, run_stage
 from piegraph_cli.workspace.recipe import Recipe
 from piegraph_cli.workspace.run import Run
@@ -63,9 +65,10 @@ def test_stages_tell_what_they_made(runs, run):
     pairs = len(data["pairs"])
     assert quality["dataset", None] == f"8 strokes, {pairs} pairs; sequences: 2 train, 1 validation, 1 test"
     model = run.read("model", "piegraph.seed4")
-    last = f"loss {model['train_loss'][-1]:.4f} after 3 steps on "
+    last = f"loss {model['train_loss'][-1]:.4f} after 12 steps on "
     assert quality["train", "piegraph.seed4"].startswith(last)
-    assert quality["train", "piegraph.seed4"].endswith(f", {model['validation_loss'].min():.4f} on validation")
+    losses = f", {model['validation_loss'].min():.4f} on validation (nothing moves: {float(model['static_loss']):.4f})"
+    assert quality["train", "piegraph.seed4"].endswith(losses + RIGID)
     static = run.read("metrics", "static")
     means = [static["pd"][static["horizon"] == h].mean() for h in (1, 2)]
     assert quality["evaluate", "static"] == f"PD [cm] H=1 {means[0]:.2f}, H=2 {means[1]:.2f} on 1 held-out sequence"
@@ -138,10 +141,12 @@ def test_metrics_and_plans_are_described(runs, run):
         ((0.01, 0.03, 0.02), 0.001, "0 of 3 goals below 0.1 cm of particle distance"),
     ],
 )
-def test_a_plans_quality_counts_goals_and_strokes(ends, success, quality):
+@pytest.mark.parametrize("ending", ["reached", plan.HELPLESS])
+def test_a_plans_quality_counts_goals_and_strokes(ends, success, quality, ending):
     arrays = {"end_distance": np.array(ends), "episode": np.array([0, 0, 1, 1, 1, 2]), "stroke": np.zeros((6, 2, 2))}
-    arrays["metric"] = np.array(["distance"] * 3)
-    assert plan._quality(arrays, plan.PlanParams(env="tblock", success=success)) == quality
+    arrays |= {"metric": np.array(["distance"] * 3), "ending": np.array(["reached", "strokes spent", ending])}
+    more = "; 1 episode ended as no stroke is expected to help" if ending == plan.HELPLESS else ""
+    assert plan._quality(arrays, plan.PlanParams(env="tblock", success=success)) == quality + more
 
 
 def test_a_plan_from_a_state_tells_where_it_would_end(run, tmp_path):
@@ -233,6 +238,21 @@ def test_a_model_is_that_of_its_label_and_seed(run, tmp_path):
         load_model(run.folder, "gnn")
 
 
+def test_a_saved_model_knows_what_errors_to_expect(run, tmp_path, monkeypatch):
+    of_run, metrics = models._model_of_run, run.read("metrics", "piegraph-ng.seed1")
+    monkeypatch.setattr(models, "_model_of_run", lambda *given: (of_run(*given)[0], metrics, of_run(*given)[2]))
+    save_model(run.folder, tmp_path / "mine.h5", seed=1)
+    known = load_model(tmp_path / "mine.h5").trained.calibration
+    assert known == load_model(run.folder, "piegraph", seed=1).trained.calibration == calibration_of(metrics.arrays)
+    assert known.of_motion > 0
+    kept = read_artifact(tmp_path / "mine.h5", "model")
+    for wrong in ({"constant": 0.0}, 3, dict.fromkeys(kept.params["calibration"], float("inf"))):
+        about = {"stage": "train", "stage_version": 1, "key": "k", "inputs": {}}
+        write_artifact(tmp_path / "odd.h5", "model", kept.arrays, params=kept.params | {"calibration": wrong}, **about)
+        with pytest.raises(DataError, match="no numbers of the errors to expect"):
+            load_model(tmp_path / "odd.h5")
+
+
 def test_a_saved_model_has_the_settings_to_plan_with(run, tmp_path):
     save_model(run.folder, tmp_path / "mine.h5", seed=1)
     mine = load_model(tmp_path / "mine.h5")
@@ -278,8 +298,10 @@ def test_trials_read_the_networks_of_the_run_beside_them_and_are_described(runs,
 
 def test_a_trial_that_succeeds_does_not_say_so_twice(monkeypatch):
     settings = plan.PlanParams(env="tblock", success=0.03)
-    assert trials._quality(0.0123, 4, settings) == "1.2 cm from the goal after 4 strokes"
-    assert trials._quality(0.03, 4, settings) == "3.0 cm from the goal after 4 strokes, not below 3 cm"
+    assert trials._quality(0.0123, 4, settings, "reached") == "1.2 cm from the goal after 4 strokes"
+    left = "3.0 cm from the goal after 4 strokes, not below 3 cm"
+    assert trials._quality(0.03, 4, settings, "strokes spent") == left
+    assert trials._quality(0.03, 4, settings, plan.HELPLESS) == f"{left}: no stroke is expected to help"
 
 
 def test_a_network_that_is_not_there_is_named_with_what_makes_it(tmp_path):
@@ -338,7 +360,7 @@ class Notes(list):
 def test_losses_are_noted_twenty_times_and_states_as_often_as_asked(run, monkeypatch):
     from piegraph_cli.stages import train
 
-    settings = LEARNED["piegraph"](**TINY | {"steps": 45})
+    settings = LEARNED["piegraph"](**TINY | {"steps": 45, "cycles": 1})
     events, saved = Notes(), Notes()
     monkeypatch.setattr(train, "_tensorboard", lambda context: events)
     given = context()

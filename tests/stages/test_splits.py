@@ -157,7 +157,7 @@ def test_without_validation_sequences_there_is_no_validation_loss():
 
 
 def test_a_model_notes_what_it_learned_from(data):
-    model = make_model(data, "piegraph", **TINY)
+    model = make_model(data, "piegraph", **TINY | {"cycles": 1})
     assert (int(model["particles"]), model["modes"].tolist()) == (16, [0])
     paces = PACE + 0.001 * np.flatnonzero(data["sequence_split"] == TRAIN)
     assert float(model["pace"]) == pytest.approx(np.median(paces), rel=1e-3)

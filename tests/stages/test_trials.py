@@ -87,6 +87,8 @@ def test_every_model_meets_the_same_start_and_goal_and_distances_are_kept(runs):
         ({"options": {"friction": "0.3"}}, True),
         ({"options": {"tshirt.friction": 0.3}}, False),
         ({"daxbench_python": "/usr/bin/python3"}, False),
+        ({"fixed_goals": True}, True),
+        ({"fixed_goals": False}, False),
     ],
 )
 def test_the_key_of_a_trial_depends_on_its_own_settings_alone(runs, settings, changes):
@@ -119,6 +121,29 @@ def test_starts_take_turns_with_the_seeds_of_the_trained_run(runs):
     found = [run.settings(STAGE, name).network for name in run.units(STAGE)]
     names = [f"piegraph@20.seed{seed}.h5" for seed in (4, 7, 4)]
     assert [path and path.name for path in found] == [n for name in names for n in (name, None)]
+
+
+def test_goals_of_another_kind_are_rows_of_their_own(runs):
+    settings = {"envs": ["tshirt", "tshirt:crumpled"], "models": ["static"], "options": {"tshirt.young": 2e4}}
+    run = Run(runs / "paper", Recipe(STAGES, {"trials": SMALL | settings}))
+    names = [f"{task}.static.goal00.seed0{s}" for task in settings["envs"] for s in (0, 1)]
+    assert run.units(STAGE) == names
+    moved, crumpled = (run.settings(STAGE, name).plan for name in names[::2])
+    assert (moved.env, crumpled.env) == ("tshirt", "tshirt")
+    assert (moved.options, crumpled.options) == ({"young": 2e4}, {"young": 2e4, "goal": "crumpled"})
+    assert run.key(STAGE, names[0]) != run.key(STAGE, names[2])
+    recipe = Recipe(STAGES, {"trials": SMALL | {"envs": ["tshirt"], "models": ["static"], "options": {"young": 2e4}}})
+    alone = Run(runs / "paper", recipe)
+    assert alone.key(STAGE, names[0]) == run.key(STAGE, names[0])
+
+
+def test_goals_in_place_are_played(runs):
+    assert set(play(runs / "paper", models=["static"], seeds=3, fixed_goals=True)[0].values()) == {"done"}
+    found = [read_artifact(p, "trials") for p in sorted((runs / "paper" / "trials").glob("*.h5"))]
+    assert len(found) == 3
+    for one in found[1:]:
+        np.testing.assert_array_equal(one["goal"], found[0]["goal"])
+        assert not np.array_equal(one["before"][0], found[0]["before"][0])
 
 
 def test_greedy_is_a_planner_without_a_network(runs):
@@ -268,6 +293,7 @@ def test_options_that_an_environment_lacks_are_refused_before_anything_runs(runs
     ("arguments", "message"),
     [
         (["--envs", "tblock,moon"], "trials.envs.1: Input should be 'tblock'"),
+        (["--envs", "tblock:crumpled"], "trials.envs.0: Input should be 'tblock'"),
         (["--models", "oracle"], "trials.models.0"),
         (["--envs", "tblock", "--thresholds", "0"], "trials.thresholds.0: Input should be greater than 0"),
         (["--envs", "tblock", "--options", "young"], "give NAME=VALUE"),

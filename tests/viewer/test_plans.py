@@ -34,6 +34,7 @@ def write_plan(run, executed: bool) -> None:
         "predicted": state,
         "after": state if executed else unknown,
         "cost": np.full(STEPS, 0.02),
+        "expected_error": np.full(STEPS, np.nan),
         "distance": np.full(STEPS, 0.01 if executed else np.nan),
         "blocked": np.zeros(STEPS, bool),
         "seconds": np.ones(STEPS),
@@ -47,6 +48,7 @@ def write_plan(run, executed: bool) -> None:
         "seed": np.zeros(2, int),
         "start_distance": np.array([0.08, 0.09]),
         "end_distance": np.full(2, 0.006 if executed else np.nan),
+        "ending": np.array(["reached", "strokes spent"]),
     }
     about = {"stage": "plan", "stage_version": 1, "key": "k", "params": {}, "inputs": {}}
     write_artifact(run / "plan.h5", "plan", arrays, **about)

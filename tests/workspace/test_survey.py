@@ -107,7 +107,9 @@ def test_what_is_foreseen_is_what_is_made(copied):
     run = changed(copied, "evaluate", horizons=[1])
     foreseen = [(row["stage"], row["unit"]) for row in foresee(run, None, force=False)]
     assert foreseen[0] == ("simulate", "sequence_0001")
-    assert {stage for stage, _ in foreseen} == {"simulate", "evaluate"}, "with the same tracks, the dataset stays"
+    assert {stage for stage, _ in foreseen} == {"simulate", "evaluate", "plan"}, (
+        "with the same tracks, the dataset stays"
+    )
     made = [(o.stage, o.unit) for o in run_chain(run, None, Options()) if o.state == "done"]
     assert sorted(made) == sorted(foreseen)
 

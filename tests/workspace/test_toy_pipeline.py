@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piegraph_cli.errors import DataError, InputError, PiegraphError, UsageError
+from piegraph_cli.errors import DataError, InputError, MissingError, PiegraphError, UsageError
 from piegraph_cli.workspace import execute, known
 from piegraph_cli.workspace.artifact import read_artifact, read_header, read_key
 from piegraph_cli.workspace.clean import find_waste, remove
@@ -500,3 +500,39 @@ def test_an_artifact_of_another_kind_in_the_place_of_one_is_made_again(made):
     with pytest.raises(DataError, match="holds pebbles, expected stones"):
         read_artifact(made / "stones" / "s0.h5", "stones")
     assert read_artifact(made / "stones" / "s0.h5").name == "pebbles"
+
+
+def checking(folder: Path, checks: dict, **sections) -> Run:
+    """A run some of whose stages look before anything is done."""
+    table = TABLE | {name: dataclasses.replace(TABLE[name], check=check) for name, check in checks.items()}
+    return Run(folder, Recipe(table, sections))
+
+
+def test_stages_look_at_what_they_need_before_the_first_one_works(folder, caplog):
+    seen = []
+
+    def look(run, units, processes):
+        seen.append((units, processes, list(CALLS)))
+        return ["bring a ladder"]
+
+    run_chain(checking(folder, {"gather": look, "pile": look}), None, Options(jobs=1))
+    assert seen == [(UNITS, 1, []), ([None], 1, [])]
+    assert caplog.messages[:2] == ["gather: bring a ladder", "pile: bring a ladder"]
+    seen.clear()
+    run_chain(checking(folder, {"gather": look, "pile": look}, pile={"steps": 4}), None, Options(jobs=1))
+    assert [units for units, _, _ in seen] == [[None]]  # what is fresh needs nothing
+    seen.clear()
+    again = checking(folder, {"gather": look})
+    run_stage(again, again.recipe.table["gather"], Options(force=True, only=("s0", "s2"), jobs=1))
+    assert [units for units, _, _ in seen] == [["s0", "s2"]]
+
+
+def test_what_a_later_stage_lacks_ends_a_chain_before_it_begins(folder):
+    def lack(run, units, processes):
+        raise MissingError("no ladder")
+
+    with pytest.raises(MissingError, match="no ladder"):
+        run_chain(checking(folder, {"pile": lack}), None, Options())
+    assert CALLS == []
+    assert not (folder / "stones").exists()
+    assert [o.state for o in run_chain(checking(folder, {"pile": lack}), "polish", Options())] == ["done"] * 6

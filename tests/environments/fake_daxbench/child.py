@@ -81,9 +81,21 @@ def fail():
     time.sleep(600)
 
 
+PINNED = {"jax": "0.4.13", "jaxlib": "0.4.13", "numpy": "1.26.4", "scipy": "1.12.0", "gym": "0.25.2", "optax": "0.1.7"}
+FOUND = PINNED | {"python": "3.11.7", "opencv-python-headless": "4.10.0.84", "trimesh": "4.12.2"}
+PROBLEMS = {
+    "no-jax": ("ModuleNotFoundError: No module named 'jax'", FOUND | {"jax": None}),
+    "new-jax": ("ImportError: cannot import name 'KeyArray'\x1b[2J", FOUND | {"jax": "0.4.30", "numpy": "2.1.0"}),
+    "new-python": ("ModuleNotFoundError: No module named 'jax'", FOUND | {"jax": None, "python": "3.12.1"}),
+    "old-commit": ("AttributeError: no FoldTshirtEnv", FOUND),
+    "wordless": (7, FOUND),
+}
 if FAULT == "early":
     sys.exit("No module named 'jax'")
-say({"id": 0, "protocol": 2 if FAULT == "protocol" else 1, "task": sys.argv[1]})
+hello = {"id": 0, "protocol": 2 if FAULT == "protocol" else 1, "task": sys.argv[1]}
+if FAULT in PROBLEMS:
+    hello["problem"], hello["found"] = PROBLEMS[FAULT]
+say(hello)
 for line in sys.stdin:
     asked = json.loads(line)
     reply = {"id": asked["id"], **answer(asked)}

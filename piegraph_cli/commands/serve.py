@@ -3,6 +3,7 @@
 import ipaddress
 import os
 import secrets
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +14,7 @@ from piegraph_cli.commands.answer import answer
 from piegraph_cli.commands.options import AsJson, Device
 from piegraph_cli.commands.stages import require_run
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.signals import stopped
 
 if TYPE_CHECKING:
     from piegraph_cli.service.service import Service
@@ -49,10 +51,15 @@ def serve(
     """
     _check(run, model, recording, live)
     what = (run, model, recording, live, device)
-    if stdio:
-        _on_stdio(what)
-    else:
-        _on_http(what, host, port, _token(host, token_file), as_json)
+    try:
+        if stdio:
+            _on_stdio(what)
+        else:
+            _on_http(what, host, port, _token(host, token_file), as_json)
+    except KeyboardInterrupt:
+        if stopped() == signal.SIGTERM:  # how services are ended: there is nothing to say
+            raise typer.Exit(128 + signal.SIGTERM) from None
+        raise
 
 
 def _on_stdio(what: tuple[Any, ...]) -> None:

@@ -16,8 +16,8 @@ _SIDES = 16
 
 def arm_parts(tip: np.ndarray, radius: float) -> list[Part]:
     """The arm with the rod's lower end at `tip` [3] (m); `radius` (m) of the rod."""
-    top = tip + [0, 0, _ROD]
-    wrist = top + [0, 0, _FLANGE]
+    top = tip + np.array([0, 0, _ROD])
+    wrist = top + np.array([0, 0, _FLANGE])
     return [
         _cylinder(tip, top, radius, _STEEL),
         _cylinder(top, wrist, _WRIST, _STEEL),

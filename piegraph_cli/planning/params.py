@@ -175,17 +175,13 @@ class PlanParams(PredictionParams, EnvironmentParams):
     def content(self) -> dict[str, Any]:
         """As for all settings, and the frames of goal and state: of these files alone the content counts.
 
-        Without how a plan is told; a table at z = 0 and no file with the robot are left out.
+        Without how a plan is told; a table at z = 0, no file with the robot, and cameras that nobody sees by are left out.
         """
         placed = self._placed().items()
         frames: dict[str, Any] = {f"{name}_frame": place.frame for name, place in placed if place.frame is not None}
         frames |= {f"{name}_key": place.key for name, place in placed if place.key is not None}
-        unsaid = (
-            {"frame"}
-            | ({"keep", "sight"} if self.look == "particles" else set())
-            | ({"table"} if not any(self.table or ()) else set())
-            | ({"cameras"} - {*self.files()})
-        )
+        unsaid = {"frame"} | ({"table"} if not any(self.table or ()) else set()) | ({"cameras"} - {*self.files()})
+        unsaid |= {"keep", "sight"} if self.look == "particles" else set()
         return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 
     def files(self) -> dict[str, Path]:

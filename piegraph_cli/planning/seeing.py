@@ -196,7 +196,7 @@ class _Loop:
 
 
 def alike(particles: np.ndarray, *others: np.ndarray) -> np.ndarray:
-    """Particles [N, 3] (m) in the order of the nearest one of other states [N, 3] (m): fresh ones have an order of their own."""
+    """Particles [N, 3] (m) in the order of the nearest one of other states [N, 3] (m): fresh ones have none."""
     best: tuple[float, np.ndarray] | None = None
     for other in others:
         apart = np.linalg.norm(other[:, None] - particles[None], axis=-1)

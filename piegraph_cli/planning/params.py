@@ -68,6 +68,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
         "look",
         "keep",
         "sight",
+        "accept",
     )
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
@@ -121,6 +122,9 @@ class PlanParams(PredictionParams, EnvironmentParams):
     )
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
     look: Looks = Field("particles", description=LOOK)
+    accept: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
+        (), description="checks of a look that may be bad, as in `look --accept`: NAME,..."
+    )
     keep: Literal["resample", "track"] = Field(
         "resample",
         description="particles with --look cameras: fresh ones at every look, or carried on by 5 Hz frames of the stroke",

@@ -26,6 +26,7 @@ from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import Tool, make_planner, metric
 from piegraph_cli.planning.question import PARTICLES, wanted
 from piegraph_cli.planning.search import Plan
+from piegraph_cli.planning.thin import line_of, places_along
 from piegraph_cli.planning.tracked import Tracked
 from piegraph_cli.recording.params import ReadParams
 
@@ -87,6 +88,7 @@ class _Loop:
     ):
         self.environment, self.sight, self.eyes, self.params = environment, sight, eyes, params
         self.trained, self.there, self.device = trained, thinned(there, GOAL_POINTS), device
+        self.line = line_of(self.there)
         self.tool, self.seed = Tool(), [0]
         self.tracked: Tracked | None = None
         self.unseen: Unseen | None = None
@@ -114,14 +116,21 @@ class _Loop:
     def _take(self, seen: Look, particles: np.ndarray) -> None:
         """Go on from a look: the goal's places, the cost and the planner of these particles [N, 3] (m)."""
         self.seen, self.positions = seen, particles.astype(np.float32)
-        params = self.params
-        placed = params.cost == "distance"
-        self.goal = Goal.of_cloud(self.there, seen.cloud, self.positions) if placed else Goal(self.there)
-        if placed and self.goal.particles is None:  # bent otherwise than the goal, for now
+        self.goal, params = self._goal(), self.params
+        if params.cost == "distance" and self.goal.particles is None:  # bent otherwise than the goal, for now
             params = params.model_copy(update={"cost": "auto"})
         rest = self.positions if self.tracked is None else self.tracked.rest
         seed = [*self.seed, len(self.true)]
         self._cost, self._search = make_planner(self.trained, rest, self.goal, params, self.tool, seed, self.device)
+
+    def _goal(self) -> Goal:
+        """Where the particles belong: of a thin thing as far along it as now; else where its own shape lies in the goal."""
+        if self.params.cost not in ("auto", "distance"):
+            return Goal(self.there)
+        places = places_along(self.line, self.seen.cloud, self.positions)
+        if places is not None:
+            return Goal(self.there, places)
+        return Goal.of_cloud(self.there, self.seen.cloud, self.positions)
 
     def _plan(self, positions: torch.Tensor, tried: Sequence[Tried]) -> Plan | None:
         self.expected = self._search(positions, tried)

@@ -110,7 +110,7 @@ def tints(scene: Scene, found: Look) -> np.ndarray:
     pixels = np.concatenate([c[mask] for c, mask in zip(scene.color, found.masks, strict=True)]).astype(np.float32) + 8
     ratios = np.log(pixels[:, [0, 2]] / pixels[:, [1]])
     edges = np.linspace(-TINT_RANGE, TINT_RANGE, TINTS + 1)
-    return np.histogram2d(*ratios.T, bins=(edges, edges))[0]
+    return np.histogram2d(ratios[:, 0], ratios[:, 1], bins=(edges, edges))[0]
 
 
 def _check_colors(now: np.ndarray, first: np.ndarray) -> None:

@@ -20,6 +20,8 @@ from piegraph_cli.params import Box, Boxes, Modes, Params, Pose2, Table, Thresho
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
 
 
+ENVIRONMENT = "ENV"
+"""The last part of a path, or how it begins before a hyphen: the name of each environment."""
 Looks = Literal["particles", "cameras"]
 LOOK = "what the planner knows of the object in --env: its particles, or what cameras see of it, and of the goal"
 
@@ -218,12 +220,20 @@ class TrialsParams(EnvironmentParams):
         (0.02, 0.03, 0.05, 0.1), description="distances that count as success; the smallest one ends a trial [m]"
     )
     trained: Path | None = Field(
-        None, description="folder with a trained run per environment, by its name (default: the one the run lies in)"
+        None,
+        description=f"folder with a trained run per environment, by its name (default: the one the run lies in), or a "
+        f"run's folder with {ENVIRONMENT} in place of that name",
     )
     options: EnvironmentSettings = Field(
         {}, description="options of the environments: ENV.NAME=VALUE,... (docs/environments.md)"
     )
     plan: dict[str, Any] = Field({}, description="settings of `plan` in place of those of the trained runs")
+
+    def trained_run(self, env: str, beside: Path) -> Path:
+        """The folder of an environment's trained run, for trials in a run that lies in the folder `beside`."""
+        given = self.trained or beside
+        named = given.name == ENVIRONMENT or given.name.startswith(f"{ENVIRONMENT}-")
+        return given.with_name(given.name.replace(ENVIRONMENT, env, 1)) if named else given / env
 
 
 class TrialParams(Params):

@@ -30,6 +30,8 @@ from piegraph_cli.planning.thin import line_of, places_along
 from piegraph_cli.planning.tracked import Tracked
 from piegraph_cli.recording.params import ReadParams
 
+SURE = 0.9
+"""Of the distance that counts as success: what is seen below so much of it is truly there, for looks are a little off."""
 ARM_GAP = 0.01
 """Metres below the tool where it waits from which on what is seen is taken for the arm."""
 
@@ -99,6 +101,7 @@ class _Loop:
         self._take(first, first.particles)
         start, kind = self.positions, metric(self.params, self.goal)
         limits = {name: getattr(self.params, name) for name in ("strokes", "success", "look_every", "stop")}
+        limits["success"] *= SURE
         begin = float(self.cost(torch.as_tensor(start)[None])[0])
         steps, ending = run_episode(start, self._plan, self._act, self.cost, **limits)
         seen = [step.distance for step in steps if np.isfinite(step.distance)]

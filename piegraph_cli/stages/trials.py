@@ -52,7 +52,7 @@ def _settings(run: "Run", unit: str) -> TrialParams:
     params: TrialsParams = run.params(STAGE.name)
     task, model, goal, seed = split_name(unit)
     env, goals = split_task(task)
-    trained = run.beside((params.trained or run.folder.resolve().parent) / env)
+    trained = run.beside(params.trained_run(env, run.folder.resolve().parent))
     kept: PlanParams = trained.params("plan")
     settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}

@@ -6,6 +6,7 @@ what was seen, how far the object truly is from its goal.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import torch
@@ -15,6 +16,8 @@ from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.environments.base import TIP_HEIGHT
 from piegraph_cli.environments.sight import Sight
+from piegraph_cli.errors import UsageError
+from piegraph_cli.perception.judgement import JUDGED
 from piegraph_cli.perception.look import Look, LookSettings
 from piegraph_cli.planning.episode import Episode, draw_task, tool_of, within
 from piegraph_cli.planning.expected import require_goal
@@ -28,7 +31,7 @@ from piegraph_cli.planning.question import PARTICLES, wanted
 from piegraph_cli.planning.search import Plan
 from piegraph_cli.planning.thin import line_of, places_along
 from piegraph_cli.planning.tracked import Tracked
-from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.params import CheckName, ReadParams
 
 SURE = 0.9
 """Of the distance that counts as success: what is seen below so much of it is truly there, for looks are a little off."""
@@ -67,7 +70,13 @@ def play_seen(
 
 
 def _settings(params: PlanParams, trained: Trained | None) -> LookSettings:
-    """With what to look: where the arm stays in view, nothing counts that is as high as it is."""
+    """With what to look: where the arm stays in view, nothing counts that is as high as it is.
+
+    Raises `UsageError` for checks that there are not.
+    """
+    known = (*get_args(CheckName), *JUDGED)
+    if unknown := sorted({*params.accept} - {*known}):
+        raise UsageError(f"no check is called {unknown[0]}", "plan.accept", f"one of {', '.join(known)}")
     box = list(ReadParams().workspace)
     if params.sight.arm:
         box[5] = params.approach_height - ARM_GAP

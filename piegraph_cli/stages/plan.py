@@ -176,7 +176,7 @@ def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str
 
     run = context.run.folder
     of_run = run if (run / "recipe.toml").is_file() else None
-    settings = look_settings(of_run, ingest={"table": params.table or (0, 0, 0)})
+    settings = look_settings(of_run, accept=params.accept, ingest={"table": params.table or (0, 0, 0)})
     seen = look(*read_scene(str(params.state)), settings)
     try:
         seen.require()

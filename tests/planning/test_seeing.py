@@ -9,7 +9,7 @@ from piegraph_cli.environments.params import SightParams
 from piegraph_cli.environments.render import OTHER, Part
 from piegraph_cli.environments.sight import Sight
 from piegraph_cli.environments.trouble import Cover
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.evaluation.metrics import nearest_distance
 from piegraph_cli.perception.look import LookSettings, look
 from piegraph_cli.physics.particles import Sizes
@@ -80,8 +80,8 @@ def test_keeping_particles_by_tracking_carries_the_same_ones_on(block):
     eyes, sight = Eyes(LookSettings()), Sight(block)
     first, scene = eyes.see(sight.shoot)
     tracked, before = Tracked(first, scene, eyes.settings, TIP_HEIGHT), block.particles()
-    beside = tracked.rest[tracked.rest[:, 0].argmin(), :2] - [0.03, 0]
-    after, _, _, _, info = block.step({"start": beside, "end": beside + [0.06, 0], "mode": 0})
+    beside = tracked.rest[tracked.rest[:, 0].argmin(), :2] - np.array([0.03, 0])
+    after, _, _, _, info = block.step({"start": beside, "end": beside + np.array([0.06, 0]), "mode": 0})
     tracked.follow(sight, {name: values[::3] for name, values in info.items() if name in ("shapes", "pusher")}, 0)
     found = tracked.settle(*eyes.see(sight.shoot))
     true = after - before
@@ -176,6 +176,11 @@ def test_goals_that_cannot_be_this_objects_are_refused(block, sizes):
         require_goal(cloud * np.float32([0.5, 0.5, 1]), cloud, 50, sizes.sizes)
     with pytest.raises(DataError, match=r"the goal's particles lie 1\.\d cm apart, the object's 2\.\d cm"):
         require_goal(cloud * np.float32([0.5, 0.5, 1]), cloud, 50, None)
+
+
+def test_a_check_that_there_is_not_is_no_check_to_accept(block):
+    with pytest.raises(UsageError, match="no check is called sized"):
+        play(block, accept=("sized",))
 
 
 def test_cameras_may_be_few_noisy_and_elsewhere(block):

@@ -46,7 +46,7 @@ def test_what_is_not_thin_not_whole_or_touches_itself_is_left_to_other_costs():
     cloth = np.column_stack([rng.uniform(-0.15, 0.15, (900, 2)), np.zeros(900)])
     assert line_of(cloth) is None
     goal, _ = rope(900, 0.8, seed=0)
-    assert line_of(np.concatenate([goal, goal + [0, 0.3, 0]])) is None
+    assert line_of(np.concatenate([goal, goal + np.array([0, 0.3, 0])])) is None
     ring, _ = rope(900, 2 * np.pi + 0.3, seed=1)
     assert places_along(line_of(goal), ring, ring[:50]) is None
     assert places_along(None, goal, goal[:50]) is None

@@ -174,6 +174,16 @@ class TroubleParams(Params):
     corners: int = Field(3, ge=1, le=8, description="in how many corners they turn")
 
 
+class SightParams(Params):
+    """How the cameras over a simulated table see, where a plan looks through them."""
+
+    cameras: int = Field(4, ge=1, le=MOST_CAMERAS, description="cameras")
+    noise: float = Field(1.0, ge=0, le=10, description="noise of depth, times a D455's")
+    moved: float = Field(0.0, ge=0, le=0.1, description="how far each camera is from where it is said to be [m]")
+    turned: float = Field(0.0, ge=0, le=20, description="how far it is turned from how it is said to be [deg]")
+    arm: bool = Field(False, description="the arm stays where its stroke ended, or else goes out of view")
+
+
 class RecordingParams(SequenceParams):
     """Everything that one rendered sequence depends on, beside its number."""
 

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from piegraph_cli.dynamics.params import Labels, trained_label
 from piegraph_cli.environments.params import EnvironmentName, Environments, Tasks
 from piegraph_cli.params import Counts, Params, Thresholds
-from piegraph_cli.planning.params import TrialLabels
+from piegraph_cli.planning.params import LOOK, Looks, TrialLabels
 
 MEASURED = "measured"
 """In place of an environment: strokes that others measured."""
@@ -24,6 +24,7 @@ class ExperimentTrials(Params):
     thresholds: Thresholds = Field((0.02, 0.03, 0.05, 0.1), description="distances that count as success [m]")
     plan: dict[str, Any] = Field({}, description="settings of `plan` in place of the recipes'")
     fixed_goals: bool = Field(False, description="as `trials.fixed_goals`")
+    look: Looks = Field("particles", description=LOOK)
     tasks: dict[EnvironmentName, Tasks] = Field(
         {}, description="rows of an environment, as `trials.envs`: by default one"
     )

@@ -10,7 +10,7 @@ from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TrainParams, spli
 from piegraph_cli.errors import UsageError
 from piegraph_cli.experiments.params import MEASURED, ExperimentParams
 from piegraph_cli.params import Params, validated
-from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.params import ENVIRONMENT, PlanParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import SHIPPED, Recipe, load_recipe
 
@@ -158,12 +158,13 @@ def in_force(recipe: Recipe, label: str) -> dict[str, dict[str, Any]]:
 def trials_in_force(params: ExperimentParams, environment: str) -> dict[str, dict[str, Any]]:
     """The settings that the trials of all models of an environment share."""
     assert params.trials is not None
-    trials = params.trials.model_dump(mode="json", exclude={"models", "tasks"})
+    usual = {"look"} if params.trials.look == "particles" else set()
+    trials = params.trials.model_dump(mode="json", exclude={"models", "tasks", *usual})
     plan = _told(recipe_of(params, environment, None).params(STAGES["plan"])) | trials.pop("plan")
     return {"trials": trials, "plan": {name: value for name, value in plan.items() if name not in OF_GRID}}
 
 
-OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "fixed_goals", "seed"}
+OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "fixed_goals", "seed", "look"}
 """Settings of `plan` that the grid of trials gives."""
 
 
@@ -186,6 +187,6 @@ def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Re
     values = params.trials.model_dump(mode="json", exclude={"tasks"}) | {
         "envs": params.tasks(environment),
         "models": params.trial_labels(environment),
-        "trained": str(folder.resolve()),
+        "trained": str(folder.resolve() / params.run_name(ENVIRONMENT)),
     }
     return Recipe(STAGES).with_values(STAGES["trials"], values, "experiment", Path.cwd())

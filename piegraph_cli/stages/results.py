@@ -178,6 +178,8 @@ class Stroke(Result):
     """How far the predicted particles may be off [m]; `null` where the model was not evaluated."""
     distance: Number = None
     """To the goal after the stroke [m], where it was executed."""
+    true_distance: Number = None
+    """How far it truly was then, where cameras saw it: particle distance to the nearest copy of the goal [m]."""
     blocked: bool | None = None
     """Whether the tool was stopped, where it was executed."""
     path: list[WayPoint]

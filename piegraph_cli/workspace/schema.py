@@ -203,6 +203,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "metric": Field("episode", "text", TEXT),
         "episode": Field("step", "episode", "int64", index="episode"),
         **_STEPS,
+        "true_distance": Field("step", "m", "float64", low=0, optional=True),
         "path": Field("step,way_point,xyz", "m", "float32", nan=True),
         "path_time": Field("step,way_point", "s", "float64", nan=True),
         "path_closed": Field("step,way_point", "1", "bool"),

@@ -1,0 +1,94 @@
+"""Random rigid things on a table and random pushes of them, moved by analytic quasi-static pushing alone.
+
+Outlines, sizes, particles, pressure, friction, pusher and strokes are drawn. Source of the motion: `rigid_kernel`.
+"""
+
+import math
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, first_touch, turned
+from piegraph_cli.dynamics.family.outlines import along, filled, random_outline
+from piegraph_cli.dynamics.rigid_kernel import push
+from piegraph_cli.params import PUSH
+from piegraph_cli.physics.rigid import moved_in_plane
+from piegraph_cli.physics.springs import farthest_point_sample
+
+FRICTION = (0.25, 0.5)
+"""With the pusher: median, and deviation of its logarithm."""
+PRESSURE = (0.8, 0.15)
+"""Turning length as a share of the radius of gyration: median (that of even pressure), and deviation of its logarithm."""
+REACH = (0.007, 0.45)
+"""The pusher's radius [m]: median, and deviation of its logarithm."""
+OFF = 0.08
+"""Deviation of the centre of friction from the middle, as a share of the radius of gyration."""
+HIGH = 0.03
+"""Greatest height of the particles [m]."""
+LENGTH = (0.012, 0.15)
+"""Of strokes [m], from, to."""
+TOUCHING = 0.4
+"""Share of strokes that begin where they touch."""
+AWAY = 0.08
+"""Farthest that the others begin from there [m]."""
+SPACED = 0.7
+"""Share of blocks whose particles are as far apart as they can be; those of others lie at random."""
+STRIDE = 1e-3
+"""Metres of the pusher in a step of the integration."""
+_POINTS = 200
+"""Points of the inside that particles are chosen of, beside those of the outline."""
+
+
+def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
+    """A block and strokes of it from one pose; a stroke may pass beside it."""
+    outline = random_outline(rng)
+    inner = filled(rng, outline, max(_POINTS, particles))
+    middle, gyration = inner.mean(0), math.sqrt(inner.var(0).sum())
+    drawn = np.clip(rng.normal(0, 1, 3), -2, 2)
+    friction, c, reach = (m * math.exp(s * t) for (m, s), t in zip((FRICTION, PRESSURE, REACH), drawn, strict=True))
+    numbers = [friction, c * gyration, reach, *(middle + rng.normal(0, OFF * gyration, 2))]
+    rim = along(outline, 0.002)
+    start, end = _strokes(rng, rim, reach, strokes)
+    edges = np.concatenate([outline, np.roll(outline, -1, 0)], 1)
+    poses = torch.zeros(strokes, 3)
+    rows = np.tile(np.float32(numbers), (strokes, 1)), np.concatenate([start, end], 1)
+    numbers, ends = (torch.as_tensor(np.float32(a)) for a in rows)
+    moved = push(torch.as_tensor(np.float32(edges)), poses, ends, numbers, STRIDE).numpy()
+    x = _particles(rng, inner, rim, particles)
+    after = np.stack([moved_in_plane(x, motion) for motion in moved])
+    height = np.full((particles, 1), rng.uniform(0, HIGH))
+    lifted = np.broadcast_to(height, (strokes, particles, 1))
+    return Drawn(
+        rest=np.concatenate([x, height], 1),
+        before=np.concatenate([np.broadcast_to(x, after.shape), lifted], 2),
+        after=np.concatenate([after, lifted], 2),
+        start=start,
+        end=end,
+        mode=np.full(strokes, PUSH),
+        held=np.zeros((strokes, 2), bool),
+        traits=np.pad(drawn, (0, TRAITS - 3)),
+    )
+
+
+def _particles(rng: np.random.Generator, inner: np.ndarray, rim: np.ndarray, count: int) -> np.ndarray:
+    """Particles [count, 2] (m) of a block: of its inside and outline, evenly or at random."""
+    if rng.random() >= SPACED:
+        return rng.permutation(inner)[:count]
+    points = rng.permutation(np.concatenate([inner, rim[:: int(rng.integers(2, 8))]]) if rng.random() < 0.7 else inner)
+    return points[farthest_point_sample(np.pad(points, ((0, 0), (0, 1))), count)]
+
+
+def _strokes(rng: np.random.Generator, rim: np.ndarray, reach: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends [count, 2] (m) of strokes from anywhere, along lines that touch the outline's points [P, 2] or just miss."""
+    starts, ends = [], []
+    while len(starts) < count:
+        heading, length = rng.uniform(0, 2 * np.pi), between(rng, *LENGTH)
+        across = turned(rim, -heading)[:, 1]
+        aside = rng.uniform(across.min() - 1.3 * reach, across.max() + 1.3 * reach)
+        touch = first_touch(rim, heading, aside, reach)
+        if not math.isfinite(touch):
+            touch = turned(rim, -heading)[:, 0].min() + rng.uniform(0, 0.05)
+        start = touch if rng.random() < TOUCHING else touch - rng.uniform(0, min(AWAY, length))
+        starts.append(turned(np.array([start, aside]), heading))
+        ends.append(turned(np.array([start + length, aside]), heading))
+    return np.array(starts), np.array(ends)

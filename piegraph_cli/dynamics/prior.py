@@ -1,6 +1,6 @@
 """A prior: the network that has seen random strokes of a family of objects, told their traits, before any recording.
 
-The strokes come from this project's own physics alone. What it then makes of a recording is in `finetuning`.
+The strokes come from this project's own physics alone. What it then makes of a recording is in `tuning`.
 """
 
 import math
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from piegraph_cli.dynamics.egnn import DECIMETRE, EGNN, Rest
 from piegraph_cli.dynamics.family.blocks import draw_block
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn
+from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.params import PretrainParams
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
@@ -105,11 +106,15 @@ class Chunk:
         return distance_loss(found, self.after[chosen], before).mean()
 
 
-def distance_loss(predicted: Tensor, target: Tensor, before: Tensor) -> Tensor:
-    """Mean distance [B] (about dm) of particles [B, N, 3] (m), less of those that move far; its square near 0."""
+def distance_loss(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
+    """Mean distance [B] (about dm) of particles [B, N, 3] (m), less of those that move far; its square near 0.
+
+    `seen` [B, N]: the particles that count, all by default.
+    """
     square = ((predicted - target) * DECIMETRE).square().sum(-1)
-    motion = ((target - before) * DECIMETRE).norm(dim=-1).mean(-1)
-    return ((square + SOFT**2).sqrt() - SOFT).mean(-1) * (2 * SHORT / (SHORT + motion))
+    motion = ((target - before) * DECIMETRE).norm(dim=-1)
+    motion = mean_seen(motion, seen)
+    return mean_seen((square + SOFT**2).sqrt() - SOFT, seen) * (2 * SHORT / (SHORT + motion))
 
 
 def draw_chunk(family: str, seed: int, index: int, neighbors: int) -> Chunk:

@@ -4,12 +4,13 @@ Outlines, sizes, particles, pressure, friction, pusher and strokes are drawn. So
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, first_touch, turned
-from piegraph_cli.dynamics.family.outlines import along, filled, random_outline
+from piegraph_cli.dynamics.family.outlines import along, filled, pieces, random_outline
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.params import PUSH
 from piegraph_cli.physics.rigid import moved_in_plane
@@ -35,6 +36,8 @@ SPACED = 0.7
 """Share of blocks whose particles are as far apart as they can be; those of others lie at random."""
 STRIDE = 1e-3
 """Metres of the pusher in a step of the integration."""
+RIM = 0.002
+"""Metres between points of an outline that a stroke is laid out by, at most."""
 _POINTS = 200
 """Points of the inside that particles are chosen of, beside those of the outline."""
 
@@ -47,27 +50,57 @@ def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
     drawn = np.clip(rng.normal(0, 1, 3), -2, 2)
     friction, c, reach = (m * math.exp(s * t) for (m, s), t in zip((FRICTION, PRESSURE, REACH), drawn, strict=True))
     numbers = [friction, c * gyration, reach, *(middle + rng.normal(0, OFF * gyration, 2))]
-    rim = along(outline, 0.002)
+    rim = along(outline, RIM)
     start, end = _strokes(rng, rim, reach, strokes)
-    edges = np.concatenate([outline, np.roll(outline, -1, 0)], 1)
-    poses = torch.zeros(strokes, 3)
-    rows = np.tile(np.float32(numbers), (strokes, 1)), np.concatenate([start, end], 1)
-    numbers, ends = (torch.as_tensor(np.float32(a)) for a in rows)
-    moved = push(torch.as_tensor(np.float32(edges)), poses, ends, numbers, STRIDE).numpy()
     x = _particles(rng, inner, rim, particles)
-    after = np.stack([moved_in_plane(x, motion) for motion in moved])
-    height = np.full((particles, 1), rng.uniform(0, HIGH))
-    lifted = np.broadcast_to(height, (strokes, particles, 1))
+    x = np.concatenate([x, np.full((particles, 1), rng.uniform(0, HIGH))], 1)
+    edges = _tensor(np.concatenate([outline, np.roll(outline, -1, 0)], 1))
+    made = _pushed(edges, _tensor(numbers).repeat(strokes, 1), x, start, end)
+    return replace(made, traits=np.pad(drawn, (0, TRAITS - 3)))
+
+
+def simulated(
+    rng: np.random.Generator,
+    edges: torch.Tensor,
+    numbers: torch.Tensor,
+    spread: tuple[float, float, float],
+    particles: np.ndarray,
+    count: int,
+) -> Drawn:
+    """Random strokes [count] of a body with these particles [N, 3] (m); edges [E, 4] and numbers [5] as for `push`.
+
+    In each stroke the first three numbers are others: `spread` are deviations of their logarithms.
+    """
+    rows = numbers.repeat(count, 1)
+    rows[:, :3] *= _tensor(np.exp(rng.normal(0, 1, (count, 3)) * spread))
+    rim = pieces(edges.numpy().astype(float).reshape(-1, 2, 2), RIM)
+    start, end = _strokes(rng, rim, float(numbers[2]), count)
+    return _pushed(edges, rows, particles, start, end)
+
+
+def _pushed(
+    edges: torch.Tensor, numbers: torch.Tensor, particles: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> Drawn:
+    """Particles [N, 3] (m) of a body under strokes [S], each with its own numbers [S, 5]."""
+    count = len(start)
+    ends = _tensor(np.concatenate([start, end], 1))
+    moved = push(edges, torch.zeros(count, 3), ends, numbers, STRIDE).numpy()
+    after = np.stack([moved_in_plane(particles[:, :2], motion) for motion in moved])
+    before = np.broadcast_to(particles, (count, *particles.shape))
     return Drawn(
-        rest=np.concatenate([x, height], 1),
-        before=np.concatenate([np.broadcast_to(x, after.shape), lifted], 2),
-        after=np.concatenate([after, lifted], 2),
+        rest=particles,
+        before=before,
+        after=np.concatenate([after, before[..., 2:]], 2),
         start=start,
         end=end,
-        mode=np.full(strokes, PUSH),
-        held=np.zeros((strokes, 2), bool),
-        traits=np.pad(drawn, (0, TRAITS - 3)),
+        mode=np.full(count, PUSH),
+        held=np.zeros((count, 2), bool),
+        traits=np.zeros(TRAITS),
     )
+
+
+def _tensor(array: np.ndarray | list[float]) -> torch.Tensor:
+    return torch.as_tensor(np.asarray(array, np.float32))
 
 
 def _particles(rng: np.random.Generator, inner: np.ndarray, rim: np.ndarray, count: int) -> np.ndarray:

@@ -111,7 +111,11 @@ def filled(rng: np.random.Generator, corners: np.ndarray, count: int) -> np.ndar
 
 def along(corners: np.ndarray, step: float) -> np.ndarray:
     """Points [P, 2] on an outline [K, 2], at most `step` (m) apart."""
-    after = np.roll(corners, -1, 0)
-    counts = np.ceil(np.linalg.norm(after - corners, axis=1) / step).astype(int).clip(1)
-    parts = [a + (b - a) * np.arange(n)[:, None] / n for a, b, n in zip(corners, after, counts, strict=True)]
+    return pieces(np.stack([corners, np.roll(corners, -1, 0)], 1), step)
+
+
+def pieces(edges: np.ndarray, step: float) -> np.ndarray:
+    """Points [P, 2] on the straight pieces [E, 2, 2] of an outline, from their first ends on, at most `step` (m) apart."""
+    counts = np.ceil(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / step).astype(int).clip(1)
+    parts = [a + (b - a) * np.arange(n)[:, None] / n for (a, b), n in zip(edges, counts, strict=True)]
     return np.concatenate(parts)

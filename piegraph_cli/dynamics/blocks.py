@@ -4,16 +4,6 @@ What a prior learns of what does not bend. Outlines, sizes, particles, pressure,
 no simulator of the tables takes part.
 """
 
-import math
-from dataclasses import dataclass
-
-import numpy as np
-import torch
-
-from piegraph_cli.dynamics.rigid_kernel import push
-from piegraph_cli.dynamics.strokes_of import Drawn, headed
-from piegraph_cli.physics.springs import farthest_point_sample
-
 CORNERS = 40
 """Of an outline that is round or waisted."""
 POINTS = 250

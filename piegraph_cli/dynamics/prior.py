@@ -6,12 +6,14 @@ The strokes come from this project's own physics alone. What it then makes of a 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, EGNN, Rest
+from piegraph_cli.dynamics.family import blocks
 from piegraph_cli.dynamics.family.blocks import draw_block
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn
 from piegraph_cli.dynamics.losses import mean_seen
@@ -22,7 +24,20 @@ from piegraph_cli.errors import DataError
 Draw = Callable[[np.random.Generator, int, int], Drawn]
 """An object of so many particles, and so many strokes of it."""
 
-FAMILIES: dict[str, Draw] = {"blocks": draw_block}
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of object that a prior is for."""
+
+    draw: Draw
+    simulator: str
+    """What moves its objects: a test in the same one would be no test."""
+    seen: dict[str, Any]
+    """What is drawn, as it is written into a prior's file."""
+
+
+FAMILIES = {"blocks": Family(draw_block, "analytic quasi-static pushing", blocks.SEEN)}
+
 
 PARTICLES = (20, 30, 40, 50)
 """Of the objects of a chunk."""
@@ -121,7 +136,7 @@ def draw_chunk(family: str, seed: int, index: int, neighbors: int) -> Chunk:
     """The `index`-th chunk of a seed."""
     rng = np.random.default_rng([seed, index])
     particles = PARTICLES[int(rng.integers(len(PARTICLES)))]
-    return Chunk.of([FAMILIES[family](rng, particles, STROKES) for _ in range(OBJECTS)], neighbors)
+    return Chunk.of([FAMILIES[family].draw(rng, particles, STROKES) for _ in range(OBJECTS)], neighbors)
 
 
 class Pretraining:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import EGNN
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, REACH, simulated
+from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, simulated
 from piegraph_cli.dynamics.family.drawn import TRAITS
 from piegraph_cli.dynamics.params import EGNNParams, RigidParams
 from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss
@@ -24,8 +24,10 @@ from piegraph_cli.physics.rigid import moved_in_plane
 
 SIMULATED = 6000
 """Strokes of the object that are simulated."""
-KNOWN, UNKNOWN = (0.25, 0.1, 0.15), (0.25, 0.08, 0.22)
-"""Deviations of the logarithms of friction, turning length and reach in these, with strokes to fit them to and without."""
+KNOWN = (0.25, 0.1, 0.15)
+"""Deviations of the logarithms of friction, turning length and reach in these, where there are strokes to fit them to."""
+UNKNOWN = (FRICTION[1], PRESSURE[1], REACH[1])
+"""The same without any stroke."""
 REAL = 6
 """Examples of a batch that are real, at most one for each."""
 SHAPES = 4
@@ -100,7 +102,7 @@ def unseen(data: Sequences) -> Sequences:
 
 def fitted_body(data: Sequences) -> RigidBody:
     """Outline and numbers of a block from its strokes; without any the numbers stay as before strokes are seen."""
-    body = RigidBody(RigidParams(fit=len(data.strokes) > 0))
+    body = RigidBody(RigidParams(fit=len(data.strokes) > 0, friction=FRICTION[0], reach=REACH[0]))
     if not len(data.strokes):  # one that nothing comes of
         at_rest, one = data.rest[:1].repeat(2, 0), np.array([[0, 1]])
         hand, zero = np.array([[1.0, 0.0], [1.1, 0.0]], np.float32), np.zeros(1, np.int64)
@@ -158,9 +160,7 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
     return min(losses, key=lambda step: losses[step])
 
 
-def start_tuning(
-    prior: Prior, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int
-) -> Trainer:
+def start_tuning(prior: Prior, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int) -> Trainer:
     """The training of a prior on a recording, about to begin. Raises `DataError` for things that the prior is not for."""
     body = fitted_body(data)
     network = told(prior, traits_of(body))

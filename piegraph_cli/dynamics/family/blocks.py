@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, first_touch, turned
-from piegraph_cli.dynamics.family.outlines import along, filled, pieces, random_outline
+from piegraph_cli.dynamics.family.outlines import KINDS, SIZE, along, filled, pieces, random_outline
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.params import PUSH
 from piegraph_cli.physics.rigid import moved_in_plane
@@ -41,6 +41,19 @@ RIM = 0.002
 _POINTS = 200
 """Points of the inside that particles are chosen of, beside those of the outline."""
 
+SEEN = {
+    "outlines": list(KINDS),
+    "size [m], root of the area": SIZE,
+    "height of particles [m], up to": HIGH,
+    "friction with the pusher, median and deviation of its logarithm": FRICTION,
+    "turning length / radius of gyration, median and deviation of its logarithm": PRESSURE,
+    "pusher's radius [m], median and deviation of its logarithm": REACH,
+    "centre of friction from the middle, deviation as a share of the radius of gyration": OFF,
+    "length of strokes [m]": LENGTH,
+    "share of strokes that begin in contact": TOUCHING,
+}
+"""As it is written into a prior's file."""
+
 
 def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
     """A block and strokes of it from one pose; a stroke may pass beside it."""
@@ -51,7 +64,7 @@ def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
     friction, c, reach = (m * math.exp(s * t) for (m, s), t in zip((FRICTION, PRESSURE, REACH), drawn, strict=True))
     numbers = [friction, c * gyration, reach, *(middle + rng.normal(0, OFF * gyration, 2))]
     rim = along(outline, RIM)
-    start, end = _strokes(rng, rim, reach, strokes)
+    start, end = _strokes(rng, rim, np.full(strokes, reach))
     x = _particles(rng, inner, rim, particles)
     x = np.concatenate([x, np.full((particles, 1), rng.uniform(0, HIGH))], 1)
     edges = _tensor(np.concatenate([outline, np.roll(outline, -1, 0)], 1))
@@ -74,7 +87,7 @@ def simulated(
     rows = numbers.repeat(count, 1)
     rows[:, :3] *= _tensor(np.exp(rng.normal(0, 1, (count, 3)) * spread))
     rim = pieces(edges.numpy().astype(float).reshape(-1, 2, 2), RIM)
-    start, end = _strokes(rng, rim, float(numbers[2]), count)
+    start, end = _strokes(rng, rim, rows[:, 2].double().numpy())
     return _pushed(edges, rows, particles, start, end)
 
 
@@ -111,16 +124,19 @@ def _particles(rng: np.random.Generator, inner: np.ndarray, rim: np.ndarray, cou
     return points[farthest_point_sample(np.pad(points, ((0, 0), (0, 1))), count)]
 
 
-def _strokes(rng: np.random.Generator, rim: np.ndarray, reach: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and ends [count, 2] (m) of strokes from anywhere, along lines that touch the outline's points [P, 2] or just miss."""
+def _strokes(rng: np.random.Generator, rim: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends [S, 2] (m) of strokes from anywhere by pushers with these radii [S] (m).
+
+    Their lines touch the outline's points [P, 2] (m), or just miss them.
+    """
     starts, ends = [], []
-    while len(starts) < count:
+    for radius in reach.tolist():
         heading, length = rng.uniform(0, 2 * np.pi), between(rng, *LENGTH)
-        across = turned(rim, -heading)[:, 1]
-        aside = rng.uniform(across.min() - 1.3 * reach, across.max() + 1.3 * reach)
-        touch = first_touch(rim, heading, aside, reach)
+        x, across = turned(rim, -heading).T
+        aside = rng.uniform(across.min() - 1.3 * radius, across.max() + 1.3 * radius)
+        touch = first_touch(rim, heading, aside, radius)
         if not math.isfinite(touch):
-            touch = turned(rim, -heading)[:, 0].min() + rng.uniform(0, 0.05)
+            touch = x.min() + rng.uniform(0, 0.05)
         start = touch if rng.random() < TOUCHING else touch - rng.uniform(0, min(AWAY, length))
         starts.append(turned(np.array([start, aside]), heading))
         ends.append(turned(np.array([start + length, aside]), heading))

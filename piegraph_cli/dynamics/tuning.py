@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import EGNN
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, simulated
+from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, REACH, simulated
 from piegraph_cli.dynamics.family.drawn import TRAITS
 from piegraph_cli.dynamics.params import EGNNParams, RigidParams
 from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss

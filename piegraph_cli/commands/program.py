@@ -13,6 +13,7 @@ from piegraph_cli import __version__
 from piegraph_cli.commands import experiments, look, record, runs, survey, tools
 from piegraph_cli.commands.answer import answering, error_object, wants_json
 from piegraph_cli.commands.calibrate import calibrate
+from piegraph_cli.commands.pretrain import pretrain
 from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.errors import PiegraphError, UsageError
@@ -28,6 +29,7 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
         "list": tools.list_names,
         "unpack": tools.unpack,
         "calibrate": calibrate,
+        "pretrain": pretrain,
         "doctor": tools.doctor,
         "bench": tools.bench,
     },

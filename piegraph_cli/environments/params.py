@@ -29,6 +29,11 @@ ENVIRONMENT_HELP: dict[str, str] = {
 }
 """What each environment is, in a line."""
 ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
+SIMULATORS: dict[str, str] = {
+    name: "Pymunk" if name == "tblock" else "DaXBench" if name.startswith("daxbench") else "MuJoCo"
+    for name in ENVIRONMENT_HELP
+}
+"""What moves each of them."""
 Numbers3 = Annotated[tuple[float, float, float], BeforeValidator(_spaced)]
 Tasks = Annotated[tuple[TaskName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import BUILT_IN, BY_GRADIENT, LEARNED, TrainParams, split_label, trained_label
 from piegraph_cli.errors import UsageError
 from piegraph_cli.experiments.params import MEASURED, ExperimentParams
 from piegraph_cli.params import Params, validated
@@ -66,7 +66,7 @@ def check_names(params: ExperimentParams, where: str) -> None:
         labels = params.labels(environment)
         for label in [*labels, *(params.trial_labels(environment) if params.trials else ())]:
             name, variant, _ = split_label(trained_label(label) or label)
-            if variant and f"{name}:{variant}" not in params.variants:
+            if variant and f"{name}:{variant}" not in BUILT_IN | params.variants:
                 raise UsageError(f'no variants."{name}:{variant}", which {label} is', where, HINT)
         trained = {trained_label(label) for label in labels}
         for label in params.trial_labels(environment) if params.trials else ():

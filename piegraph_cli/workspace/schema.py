@@ -185,6 +185,12 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "train_loss": Field("record", "the model's own", "float64"),
         "validation_loss": Field("record", "the model's own", "float64", nan=True),
         "static_loss": Field("", "the model's own", "float64", low=0, high=INF, optional=True),
+        "prior_simulator": Field("simulator", "text", TEXT, optional=True),
+    },
+    "prior": {
+        "weights/*": Field("*", "1", "float32"),
+        "step": Field("record", "1", "int64", low=1, high=INF),
+        "loss": Field("record", "1", "float64", low=0, high=INF),
     },
     "checkpoint": {"state/*": Field("*", "1", "*", nan=True)},
     "metrics": {

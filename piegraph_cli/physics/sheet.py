@@ -109,11 +109,11 @@ class SheetFollower:
         flow = Sums(len(x))
         for surface, old, now in zip(before.surfaces, self.shots, shots, strict=True):
             self.flow.onwards(surface, old, now, flow)
-        x = self._sane(self._corrected(x, before.x, flow, 1.0, self._state(x), frame, shots), x)
+        x = self._sane(self._corrected(x, before.x, flow.agreed(), 1.0, self._state(x), frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
             self.flow.against(surface, self.atlas.drawn(surface), now, drift)
-        x = self._sane(self._corrected(x, x, drift, ATLAS, state, frame, shots), x)
+        x = self._sane(self._corrected(x, x, drift.agreed(), ATLAS, state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
         if self._at_rest(frame):
             self.atlas.fill(self.state.surfaces, shots)

@@ -13,6 +13,8 @@ EDGE, RIM = 1, 5
 """Pixels beside the mask's border that depth, and texture, leave out."""
 BLUR, WINDOW = 1.0, 11
 """Deviation (px) of the blur before slopes are taken, and the side (px) of what texture is a mean over."""
+LEAST = 10
+"""Pixels inside the rim that texture is a mean over, at least: beside the border it is that of what lies within."""
 TEXTURED = 1.0
 """Grey levels a pixel by which the image must change along its weakest direction, for flow to be more than noise."""
 AROUND = 22
@@ -85,10 +87,10 @@ def textured(grey: np.ndarray, mask: np.ndarray) -> np.ndarray:
     inside = _eroded(mask[cut], RIM).astype(np.float32)
     smooth = cv2.GaussianBlur(grey[cut].astype(np.float32), (0, 0), BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_32F, *d, ksize=3, scale=1 / 8) for d in ((1, 0), (0, 1)))
-    count = np.maximum(_summed(inside), 1.0)
-    xx, yy, xy = (_summed(inside * a) / count for a in (right * right, down * down, right * down))
+    count = _summed(inside)
+    xx, yy, xy = (_summed(inside * a) / np.maximum(count, 1.0) for a in (right * right, down * down, right * down))
     smaller = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
-    found[cut] = (smaller > TEXTURED**2) & (inside > 0)
+    found[cut] = (smaller > TEXTURED**2) & (count > LEAST) & (mask[cut] > 0)
     return found
 
 

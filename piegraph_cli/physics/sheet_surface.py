@@ -7,6 +7,9 @@ import numpy as np
 from piegraph_cli.physics.sheet_images import Lens
 from piegraph_cli.physics.sheet_kernel import Cloth
 
+ODD, ODDER = 0.006, 2.5
+"""Metres, and times the usual difference, from the ways asked for around it beyond which a pixel's way is left out."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -56,9 +59,11 @@ class Sums:
         self.way = np.zeros((nodes, 3))
         """[N, 3] metres, times weights."""
         self.weight = np.zeros(nodes)
+        self.parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def add(self, corners: np.ndarray, weights: np.ndarray, ways: np.ndarray) -> None:
         """Ways [P, 3] (m) of pixels that show triangles with corners [P, 3] with weights [P, 3]."""
+        self.parts.append((corners, weights, ways))
         at, share, nodes = corners.ravel(), weights.ravel().astype(np.float64), len(self.weight)
         self.weight += np.bincount(at, share, nodes)
         for k in range(3):
@@ -67,3 +72,12 @@ class Sums:
     def mean(self) -> np.ndarray:
         """[N, 3] metres; 0 where nothing is asked."""
         return self.way / np.maximum(self.weight, 1e-12)[:, None]
+
+    def agreed(self) -> "Sums":
+        """The same without pixels that ask for another way than those around them: they show another layer."""
+        kept, mean = Sums(len(self.weight)), self.mean()
+        for corners, weights, ways in self.parts:
+            off = np.linalg.norm(ways - np.einsum("pk,pkc->pc", weights, mean[corners]), axis=1)
+            near = off < max(ODD, ODDER * float(np.median(off))) if len(off) else off > 0
+            kept.add(corners[near], weights[near], ways[near])
+        return kept

@@ -20,7 +20,7 @@ STAGE = Stage(
     ("frames", "masks", "clouds"),
     "tracks",
     TrackParams,
-    version=3,
+    version=4,
     run="piegraph_cli.stages.track:run",
 )
 
@@ -35,19 +35,20 @@ def track_clouds(
     hand: "np.ndarray | None" = None,
     grasp: "np.ndarray | None" = None,
     views: "Sequence[Sequence[View]] | None" = None,
+    time: "np.ndarray | None" = None,
     progress: Callable[..., Iterable] = iter,
 ) -> "TrackResult":
     """Follow material points of an object through its clouds, [P, 3] metres each, z up, the table at z = 0.
 
     `hand` [F, 3] (m) and `grasp` [F]: where the hand is, and whether it holds the object, for picks. `views`: per frame
-    what each camera sees; without them everything counts as seen. Raises `DataError` for
+    what each camera sees; without them everything counts as seen. `time` [F] (s, by default 5 Hz). Raises `DataError` for
     points that are not finite, naming the frame, and for a first cloud with too few of them. Source: paper, III-D.
     """
     from piegraph_cli.physics.tracking import track
     from piegraph_cli.process import set_up_torch
 
     set_up_torch()
-    return track(clouds, params, hand, grasp, progress, views)
+    return track(clouds, params, hand, grasp, progress, views, time)
 
 
 def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output:
@@ -62,7 +63,12 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
     views = Views(inputs["frames"], inputs["masks"])
     try:
         tracked = track_clouds(
-            clouds, params, views=views, progress=lambda c: context.progress(c, "frames", len(clouds)), **held
+            clouds,
+            params,
+            views=views,
+            time=source["time"],
+            progress=lambda c: context.progress(c, "frames", len(clouds)),
+            **held,
         )
     except DataError as error:
         raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None
@@ -80,7 +86,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         told = f"residual {tracked.residual.mean() * 1000:.1f} mm; how far off is not known: particles slide"
         return Output(arrays, f"{frames} frames, {told}", _lost(tracked))
     arrays |= {"trust/doubt": tracked.doubt, "trust/misfit": tracked.misfit}
-    quality = f"{frames} frames, expected error {tracked.doubt.mean() * 1000:.1f} mm"
+    quality = f"{frames} frames{', a sheet' if tracked.sheet else ''}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
     return Output(arrays, quality, _lost(tracked) + _doubts(tracked))
 
 

@@ -1,5 +1,7 @@
 """Picks by hand: thumb and fingers that close on the object and lift a part of it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 THUMB, INDEX, MIDDLE, WRIST, KNUCKLE = 4, 8, 12, 0, 9
@@ -54,14 +56,13 @@ def pinches(apart: np.ndarray) -> np.ndarray:
     return course
 
 
-def picked(
-    landmarks: np.ndarray, end_effector: np.ndarray, clouds: list[np.ndarray], gap: np.ndarray, reach: float
+def picks(
+    landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.ndarray], reach: float
 ) -> np.ndarray:
     """Frames [F] bool in which a hand holds the object between thumb and fingers.
 
-    It is open, closes within `reach` (m) of the object, of which `gap` [F] (m) is how far it is seen from above, and lifts
-    what is under it: a hand that pushes with closed fingers does not. `landmarks` [F, C, 21, 2] (px), `end_effector`
-    [F, 3] (m), `clouds` [P, 3] (m), z up.
+    It is open, closes within `reach` (m) of the object as seen from above, and lifts what is under it: a hand that pushes
+    with closed fingers does not. `landmarks` [F, C, 21, 2] (px), `end_effector` [F, 3] (m), `clouds` [P, 3] (m), z up.
     """
     from scipy.ndimage import label
 
@@ -71,13 +72,18 @@ def picked(
     for n in range(1, count + 1):
         frames = np.flatnonzero(runs == n)
         opened = frames[0] > 0 and np.isfinite(landmarks[frames[0] - 1]).any()
-        near = gap[frames] <= reach
+        near = np.array([_gap(end_effector[f], clouds[f]) <= reach for f in frames])
         if len(frames) < 2 or not opened or not near[0] or near.mean() <= 0.5:
             continue
         heights = np.array([_height(end_effector[f], clouds[f]) for f in frames])
         if np.isfinite(heights).any() and np.nanmax(heights) - heights[np.isfinite(heights)][0] >= RISES:
             holds[frames] = True
     return holds
+
+
+def _gap(tip: np.ndarray, cloud: np.ndarray) -> float:
+    """How far (m) the hand [3] is from the cloud [P, 3] seen from above; infinite where there is none, NaN: no hand."""
+    return float(np.linalg.norm(cloud[:, :2] - tip[:2], axis=1).min(initial=np.inf))
 
 
 def _height(tip: np.ndarray, cloud: np.ndarray) -> float:

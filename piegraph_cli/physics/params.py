@@ -22,7 +22,9 @@ class TrackParams(Params):
     iterations: int = Field(10, ge=1, description="spring iterations after each assignment")
     scales: Lengths = Field((0.020, 0.012, 0.008), description="widths of the assignment, in turn over the rounds [m]")
     points: int = Field(800, ge=20, description="points a cloud is thinned to for the assignment")
-    mode: Literal["push", "pick"] = Field("push", description="how the hand moves the object")
+    mode: Literal["auto", "push", "pick"] = Field(
+        "auto", description="how the hand moves the object; auto: each stroke as `fuse` saw it"
+    )
     object: Literal["auto", "sheet", "solid"] = Field(
         "auto", description="what is followed: a sheet by its colours too; auto: a sheet where the first frame shows one"
     )

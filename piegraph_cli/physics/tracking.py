@@ -86,7 +86,7 @@ def track(
         frames = _sheet(clouds, views, time, params, _holding(hand, grasp), progress)
     else:
         with torch.inference_mode():
-            frames = _solid(clouds, views, params, Grip(hand, grasp), progress)
+            frames = _solid(clouds, views, params, hand, grasp, progress)
     positions, weight = (np.array([getattr(f, name) for f in frames]) for name in ("positions", "weight"))
     residual, misfit = (np.array([getattr(f, name) for f in frames], np.float32) for name in ("residual", "misfit"))
     held, lost = (np.array([getattr(f, name) for f in frames]) for name in ("held", "lost"))
@@ -118,10 +118,12 @@ def _solid(
     clouds: Sequence[np.ndarray],
     views: Sequence[Sequence[View]],
     params: TrackParams,
-    grip: Grip,
+    hand: np.ndarray | None,
+    grasp: np.ndarray | None,
     progress: Callable[[Sequence[np.ndarray]], Iterable[np.ndarray]],
 ) -> list[Found]:
-    follower = _first(clouds[0], views[0], params)
+    upright = params.mode == "push" or (params.mode == "auto" and grasp is None)
+    follower, grip = _first(clouds[0], views[0], params, upright), Grip(hand, grasp)
     return [follower.at(f, cloud, views[f], grip) for f, cloud in enumerate(progress(clouds))]
 
 
@@ -146,10 +148,10 @@ def _holding(hand: np.ndarray | None, grasp: np.ndarray | None) -> Hand | None:
     return Hand(hand, grasp & np.append(grasp[1:], False))
 
 
-def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams) -> Follower:
+def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams, upright: bool) -> Follower:
     try:
         first = choose_particles(cloud, params.tracked if params.association == "soft" else params.particles)
-        return Follower(first, build_springs(first, spring_radius(first)), cloud, views, params)
+        return Follower(first, build_springs(first, spring_radius(first)), cloud, views, params, upright)
     except DataError as error:
         hint = "start at a frame that shows the whole object, track fewer particles, or use finer voxels in fuse"
         raise DataError(error.message, where="frame 0", hint=hint) from None

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import mode_number
+from piegraph_cli.params import PICK, PUSH, mode_number
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -59,7 +59,11 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
 
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])
-    held = {"hand": source["end_effector"], "grasp": source["contact"]} if params.mode == "pick" else {}
+    mode = np.full(len(clouds), PUSH if params.mode == "auto" else mode_number(params.mode))
+    if params.mode == "auto" and "mode" in source:
+        mode = source["mode"]
+    grasp = source["contact"] & (mode == PICK)
+    held = {"hand": _filled(source["end_effector"]), "grasp": grasp} if grasp.any() else {}
     views = Views(inputs["frames"], inputs["masks"])
     try:
         tracked = track_clouds(
@@ -77,7 +81,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         "positions": tracked.positions,
         "residual": tracked.residual,
         "visibility": tracked.weight,
-        "mode": np.full(frames, mode_number(params.mode)),
+        "mode": mode,
         "end_effector": source["end_effector"],
         "contact": source["contact"],
         "time": source["time"],
@@ -88,6 +92,16 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
     arrays |= {"trust/doubt": tracked.doubt, "trust/misfit": tracked.misfit}
     quality = f"{frames} frames{', a sheet' if tracked.sheet else ''}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
     return Output(arrays, quality, _lost(tracked) + _doubts(tracked))
+
+
+def _filled(hand: "np.ndarray") -> "np.ndarray":
+    """The hand's path [F, 3] (m) on straight lines where it is not known, as it may be while it holds the object."""
+    import numpy as np
+
+    frames, known = np.arange(len(hand)), np.isfinite(hand).all(1)
+    if not known.any():
+        return hand
+    return np.stack([np.interp(frames, frames[known], axis[known]) for axis in hand.T], 1).astype(hand.dtype)
 
 
 def _lost(tracked: "TrackResult") -> list[str]:

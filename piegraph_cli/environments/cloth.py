@@ -7,8 +7,10 @@ import numpy as np
 
 from piegraph_cli.environments.base import REACH, GoalState, Motion
 from piegraph_cli.environments.cloth_mesh import ClothMesh, square_outline, triangulate, tshirt_outline
+from piegraph_cli.environments.cloth_print import printed
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene, smooth_path
-from piegraph_cli.environments.params import ClothOptions
+from piegraph_cli.environments.params import ClothOptions, Texture
+from piegraph_cli.environments.render import Print
 from piegraph_cli.environments.shapes import place
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK, PUSH
@@ -71,6 +73,10 @@ class Cloth(MujocoEnvironment):
     def surface(self, shapes: np.ndarray | None = None) -> np.ndarray:
         """The sheet's closed surface at vertices [..., V, 3] (m; by default the current ones), float32 [..., 2 V, 3] (m)."""
         return self.mesh.shell(self.nodes if shapes is None else np.asarray(shapes), _RADIUS).astype(np.float32)
+
+    def printed(self, texture: Texture, rng: np.random.Generator) -> Print | None:
+        """The pattern of its surface."""
+        return printed(texture, np.array(self.color), self.mesh.points, rng)
 
     def goal(self, rng: np.random.Generator) -> np.ndarray:
         """Goal particles, float32 [N, 3] (m), as the option `goal` says.

@@ -143,6 +143,9 @@ class SequenceParams(EnvironmentParams):
 
 
 MOST_CAMERAS = 8
+Texture = Literal["plain", "faint", "print"]
+PATTERNED = ("tshirt", "cloth")
+"""Environments whose object can have a pattern."""
 
 
 class TroubleParams(Params):
@@ -192,12 +195,20 @@ class SightParams(Params):
 class RecordingParams(SequenceParams):
     """Everything that one rendered sequence depends on, beside its number."""
 
-    later = ("cameras", "trouble")
+    later = ("cameras", "trouble", "texture")
 
     cameras: int = Field(4, ge=1, le=MOST_CAMERAS, description="cameras of a rendered recording")
     trouble: Annotated[TroubleParams, BeforeValidator(split_pairs)] = Field(
         TroubleParams(), description="what goes wrong in a rendered recording: NAME=VALUE,... (docs/environments.md)"
     )
+
+    texture: Texture = Field("plain", description="pattern of a rendered cloth: plain, faint or print")
+
+    @model_validator(mode="after")
+    def _check_texture(self) -> "RecordingParams":
+        if self.texture != "plain" and self.environment not in PATTERNED:
+            raise ValueError(f"{self.environment} has no pattern: texture is for {', '.join(PATTERNED)}")
+        return self
 
     @model_validator(mode="after")
     def _check_cameras(self) -> "RecordingParams":

@@ -114,14 +114,11 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
         count = params.training + params.validation + params.test
         put("simulate", sequences=count, strokes=params.strokes, seed=params.simulation)
     else:
-        simulate = recipe.sections["simulate"]
         recipe = replace(recipe, sections={k: v for k, v in recipe.sections.items() if k != "simulate"})
         if recording is None or measured:
             put("import", sources=[str(recording.resolve())] if recording else [])
         else:
             put("ingest", recording=str(recording.resolve()))
-            if simulate.get("modes") or environment in ("tshirt", "cloth"):
-                put("track", mode="pick")
     put("dataset", train=params.training, validation=params.validation)
     put("train", seeds=list(params.seeds), variants=params.variants)
     train = recipe.params(STAGES["train"])

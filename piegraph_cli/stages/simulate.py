@@ -31,7 +31,7 @@ def _units(run: "Run") -> Sequence[Unit]:
 def _settings(run: "Run", unit: str) -> SequenceParams:
     params = run.params(STAGE.name)
     usual, given = RecordingParams(), params.model_dump()
-    only = [name for name in ("cameras", "trouble") if getattr(params, name) != getattr(usual, name)]
+    only = [name for name in ("cameras", "trouble", "texture") if getattr(params, name) != getattr(usual, name)]
     if only:
         raise UsageError(f"simulate.{only[0]}: particles have no cameras", hint="add --render for a recording")
     return SequenceParams(**{name: given[name] for name in SequenceParams.model_fields})
@@ -169,7 +169,7 @@ def _write_images(folder: Path, params: RecordingParams, seed: int) -> "dict[str
 
     cameras, truth = camera_rig(count=params.cameras), []
     environment = make_environment(params.environment, params.particles, params)
-    frames = record(environment, seed, params.strokes, cameras, load_hand(), params.modes, params.trouble)
+    frames = record(environment, seed, params.strokes, cameras, load_hand(), params.modes, params.trouble, params.texture)
     for number, frame in enumerate(frames):
         for camera, color, depth, lost in zip(cameras, frame.color, frame.depth, frame.lost, strict=True):
             if not lost:

@@ -145,6 +145,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     "clouds": {
         "points": Field("point,xyz", "m", "float32"),
         "offsets": Field("frame_edge", "1", "int64", ends="points"),
+        "mode": Field("frame", "0 push, 1 pick", "uint8", optional=True),
         **_HAND_PATH,
     },
     "tracks": {

@@ -106,7 +106,7 @@ def _folder(folder: Folder) -> Parameter:
 
 def _setting(name: str, option: Option, panel: str | None) -> Parameter:
     """The option of one setting; left out it means: as in the run's recipe, else the default."""
-    flag, kind = f"--{name.replace('_', '-')}", option.kind
+    flag, kind = f"--{name.rstrip('_').replace('_', '-')}", option.kind  # a word of Python's ends in _ as a name
     text = option.meaning + (f" [default: {option.default}]" if option.default else "")
     names = f"{flag}/--no-{flag[2:]}" if kind is bool else flag
     given = typer.Option(names, help=text, show_default=False, rich_help_panel=panel)

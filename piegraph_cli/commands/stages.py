@@ -151,7 +151,12 @@ def _report(stage: Stage, run: "Run", outcomes: "Sequence[Outcome]", seconds: fl
         return replace(report, value=None)
     if stage.call.describe:
         value, lines = load(stage.call.describe)(run)
-        return with_failures(value, lines, outcomes) if stage.unit != "run" else Report(value, lines)
+        if stage.unit != "run":
+            return with_failures(value, lines, outcomes)
+        error = load(stage.call.refuses)(run) if stage.call.refuses else None
+        if error is not None:
+            logging.getLogger("piegraph").error("%s", error)
+        return Report(value, lines, error.exit_code if error else 0, error)
     made = sum(o.state == "done" for o in outcomes)
     if stage.call.counts and made:
         rate = made * getattr(run.recipe.params(stage), stage.call.counts) / seconds

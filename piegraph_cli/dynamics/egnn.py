@@ -147,11 +147,12 @@ class EGNN(nn.Module):
         strokes: Strokes,
         rest: Rest | None = None,
         grasp: torch.Tensor | None = None,
+        known: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """Positions [B, N, 3] (m) after strokes [B].
 
         `rest` is the objects' (by default the positions themselves), `grasp` [B] the particle that a pick holds (by default
-        the nearest to the stroke's start).
+        the nearest to the stroke's start), `known` [B, H] what else is known of each object, added to all its features.
         """
         rest = rest or Rest.of(positions, self.neighbors)
         neighbors = rest.neighbors
@@ -161,6 +162,8 @@ class EGNN(nn.Module):
         if self.picks:
             features = torch.cat([features, scaled_pick_features(positions, strokes, rest.positions, grasp)], -1)
         h = self.embed(features)
+        if known is not None:
+            h = h + known[:, None]
         x = start = (positions - positions.mean(1, keepdim=True)) * DECIMETRE
         rest2 = (x[:, :, None] - gather_neighbors(x, neighbors)).square().sum(-1, keepdim=True)
         for layer in self.layers:

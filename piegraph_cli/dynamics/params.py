@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, model_validator
 
@@ -60,7 +60,7 @@ def trained_label(label: str) -> str | None:
     return None if own is None else own + label[len(name) :]
 
 
-_LABEL = re.compile(r"([a-z-]+)(:[a-z0-9_-]+)?(@[1-9][0-9]*)?")
+_LABEL = re.compile(r"([a-z-]+)(:[a-z0-9_-]+)?(@(?:0|[1-9][0-9]*))?")
 
 
 def _check_label(label: str) -> str:
@@ -147,11 +147,27 @@ class GraphParams(LearningParams):
     mirror: bool = Field(False, description="mirror half of the pairs: right where the mirror image moves alike")
 
 
+PRIOR = Path("prior")
+"""The word for the prior that is shipped, in place of a file."""
+SHIPPED_PRIOR = Path(__file__).parent.parent / "priors" / "blocks.h5"
+
+
 class EGNNParams(GraphParams):
     """Settings of piegraph's network."""
 
+    later: ClassVar[tuple[str, ...]] = ("prior",)
+
     mirror: bool = Field(True, description="equivariant to reflection: wrong where left and right differ unseen")
     action_head: bool = Field(True, description="add a displacement in the stroke's frame")
+    prior: Path | None = Field(
+        None,
+        description="what it begins with: `prior`, the one that is shipped, for blocks, or a file of `piegraph pretrain`; "
+        "its network's size is taken, and how long it learns is chosen",
+    )
+
+    def files(self) -> dict[str, Path]:
+        """As for all settings; the prior that is shipped lies in the package."""
+        return super().files() | ({"prior": SHIPPED_PRIOR} if self.prior == PRIOR else {})
 
 
 class ActionNodeParams(GraphParams):
@@ -253,6 +269,10 @@ class RigidParams(FittedParams):
     )
 
 
+BUILT_IN: dict[str, dict[str, Any]] = {"piegraph:prior": {"prior": str(PRIOR)}}
+"""Variants that need not be declared."""
+
+
 class TrainParams(Params):
     """Settings of `train`: which models, from which seeds, and a table of settings for each."""
 
@@ -289,6 +309,11 @@ class TrainParams(Params):
             f"variants.{key}.{name}": file for key in sorted(known) for name, file in self.of(key).files().items()
         }
 
+    def placed(self, base: Path) -> dict[str, str]:
+        """As for all settings; the prior that is shipped stays a word, which holds wherever piegraph is."""
+        shipped = {name for name, file in self.files().items() if file == SHIPPED_PRIOR}
+        return {name: place for name, place in super().placed(base).items() if name not in shipped}
+
     def seeds_of(self, label: str) -> tuple[int, ...]:
         """The seeds that a model is trained from."""
         return self.model_seeds.get(trained_label(label) or label, self.seeds)
@@ -299,12 +324,10 @@ class TrainParams(Params):
         settings: FittedParams = getattr(self, name.replace("-", "_"))
         if not variant:
             return settings
-        key = f"{name}:{variant}"
-        if key not in self.variants:
+        key, variants = f"{name}:{variant}", BUILT_IN | self.variants
+        if key not in variants:
             raise UsageError(f"no variant {key}", "train.variants", f'a section [train.variants."{key}"] in the recipe')
-        return validated(
-            type(settings), settings.model_dump() | self.variants[key], f"train.variants.{key}", "recipe", ""
-        )
+        return validated(type(settings), settings.model_dump() | variants[key], f"train.variants.{key}", "recipe", "")
 
 
 LEARNED: dict[str, type[FittedParams]] = {
@@ -329,7 +352,26 @@ class ModelParams(Params):
 
     def content(self) -> dict[str, Any]:
         """As for all settings, without how often the state is kept and whether events are written: as by default."""
-        return super().content() | {n: type(self).model_fields[n].default for n in ("checkpoint_every", "tensorboard")}
+        unused = {n: type(self).model_fields[n].default for n in ("checkpoint_every", "tensorboard")}
+        return super().content() | unused | {"settings": self.settings.content()}
+
+
+Family = Literal["blocks"]
+"""Kinds of object that a prior is for."""
+
+
+class PretrainParams(Params):
+    """How a prior is trained."""
+
+    family: Family = Field("blocks", description="kind of object that it is for")
+    seed: int = Field(0, ge=0, description="seed of weights, objects and strokes")
+    steps: int = Field(32_000, ge=1, description="training steps")
+    batch: int = Field(16, ge=1, le=1024, description="strokes per step")
+    learning_rate: float = Field(3e-3, gt=0, description="learning rate at the start of the cosine")
+    clip: float = Field(1.0, gt=0, description="largest gradient norm")
+    neighbors: int = Field(6, ge=1, description="neighbours of a particle in the graph")
+    hidden: int = Field(64, ge=1, description="width of the network")
+    layers: int = Field(4, ge=1, description="message-passing layers")
 
 
 class PredictionParams(GuidanceParams):

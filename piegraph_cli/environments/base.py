@@ -40,6 +40,18 @@ class Motion:
     grasped: bool = False
 
 
+@dataclass(frozen=True)
+class GoalState:
+    """The object as it lies at a goal."""
+
+    particles: np.ndarray
+    """[N, 3] float32, metres."""
+    shape: np.ndarray
+    """Its configuration there, as `particles` and `surface` take it."""
+    copies: np.ndarray
+    """[K, N, 3] float32, metres: the particles in every way of lying there that no cloud can tell apart."""
+
+
 class Environment(gymnasium.Env):
     """One `step` is one stroke: `start` [2] and `end` [2] (m, world) of the pusher or gripper, and `mode` (0 push, 1 pick).
 
@@ -125,6 +137,14 @@ class Environment(gymnasium.Env):
     @abstractmethod
     def goal(self, rng: np.random.Generator) -> np.ndarray:
         """Particles of a goal that can be reached from the current state, float32 [N, 3] (m); the state stays."""
+
+    def goal_state(self, rng: np.random.Generator) -> GoalState:
+        """The goal that `goal` draws from the same generator, as cameras could see it; the state stays.
+
+        Raises `UsageError` where an environment tells its goals by particles alone.
+        """
+        message = f"{type(self).__name__} tells its goals by particles alone: cameras cannot be shown them"
+        raise UsageError(message, "plan.look", "--look particles, or --goal FILE")
 
     @abstractmethod
     def _push(self, start: np.ndarray, end: np.ndarray) -> Motion:

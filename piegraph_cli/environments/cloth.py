@@ -5,10 +5,12 @@ from typing import Literal
 
 import numpy as np
 
-from piegraph_cli.environments.base import REACH, Motion
+from piegraph_cli.environments.base import REACH, GoalState, Motion
 from piegraph_cli.environments.cloth_mesh import ClothMesh, square_outline, triangulate, tshirt_outline
+from piegraph_cli.environments.cloth_print import printed
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene, smooth_path
-from piegraph_cli.environments.params import ClothOptions
+from piegraph_cli.environments.params import ClothOptions, Texture
+from piegraph_cli.environments.render import Print
 from piegraph_cli.environments.shapes import place
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK, PUSH
@@ -63,11 +65,18 @@ class Cloth(MujocoEnvironment):
         super().__init__(particles, _mjcf(self.mesh, options))
         self._gripper = self.model.body("gripper").mocapid[0]
         self.weights = self.mesh.material_points(particles)
+        turns = (1, 2, 3) if outline == "square" else ()
+        self._turned = [self.mesh.weights_at(_quarter(self.weights @ self.mesh.points, k)) for k in turns]
+        """Weights of the points where the particles lie on a square that is turned by quarters."""
         self.triangles = self.mesh.shell_triangles()
 
     def surface(self, shapes: np.ndarray | None = None) -> np.ndarray:
         """The sheet's closed surface at vertices [..., V, 3] (m; by default the current ones), float32 [..., 2 V, 3] (m)."""
         return self.mesh.shell(self.nodes if shapes is None else np.asarray(shapes), _RADIUS).astype(np.float32)
+
+    def printed(self, texture: Texture, rng: np.random.Generator) -> Print | None:
+        """The pattern of its surface."""
+        return printed(texture, np.array(self.color), self.mesh.points, rng)
 
     def goal(self, rng: np.random.Generator) -> np.ndarray:
         """Goal particles, float32 [N, 3] (m), as the option `goal` says.
@@ -76,9 +85,15 @@ class Cloth(MujocoEnvironment):
         the shift in direction; goals out of reach are redrawn. "crumpled": what two random picks make of the cloth.
         Raises DataError when there is no such goal in reach.
         """
-        return self._moved_goal(rng) if self.options.goal == "moved" else self._crumpled_goal(rng)
+        return self.goal_state(rng).particles
 
-    def _moved_goal(self, rng: np.random.Generator) -> np.ndarray:
+    def goal_state(self, rng: np.random.Generator) -> GoalState:
+        """The goal with its vertices; nothing tells the corners of a square apart."""
+        particles, shape = self._moved_goal(rng) if self.options.goal == "moved" else self._crumpled_goal(rng)
+        turned = [(weights @ shape).astype(np.float32) for weights in self._turned]
+        return GoalState(particles, shape, np.stack([particles, *turned]))
+
+    def _moved_goal(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         flat, now = self.weights @ self._rest, self.particles().astype(np.float64)
         x, y, turn = _planar_pose(flat, now)
         for _ in range(_GOAL_TRIES):
@@ -87,17 +102,17 @@ class Cloth(MujocoEnvironment):
             pose = [x + distance * math.cos(heading), y + distance * math.sin(heading), turned]
             goal = place(flat, np.array(pose))
             if (np.abs(goal[:, :2]) <= REACH).all():
-                return goal.astype(np.float32)
+                return goal.astype(np.float32), place(self._rest, np.array(pose))
         raise DataError("no goal near the cloth is in reach", type(self).__name__, "reset the environment")
 
-    def _crumpled_goal(self, rng: np.random.Generator) -> np.ndarray:
+    def _crumpled_goal(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         before = self.get_state()
         try:
             for _ in range(_GOAL_PICKS):
-                goal = self.step(self.sample_stroke(rng, PICK))[0]
+                goal, _, _, _, info = self.step(self.sample_stroke(rng, PICK))
         finally:
             self.set_state(before)
-        return goal
+        return goal, info["shapes"][-1]
 
     def keeps_reach(self, start: np.ndarray, end: np.ndarray, mode: int) -> bool:
         if mode == PUSH:
@@ -169,6 +184,13 @@ def _mjcf(mesh: ClothMesh, options: ClothOptions) -> str:
         impratio=_IMPRATIO,
         more=f"<equality>{grasps}</equality>",
     )
+
+
+def _quarter(points: np.ndarray, turns: int) -> np.ndarray:
+    """Points [N, 2] turned about the origin by so many right angles."""
+    for _ in range(turns):
+        points = np.column_stack([-points[:, 1], points[:, 0]])
+    return points
 
 
 def _text(values: np.ndarray) -> str:

@@ -78,6 +78,19 @@ class ClothMesh:
         flat = np.column_stack([weights @ self.points, np.zeros(len(weights))])
         return weights[farthest_point_sample(flat, count)]
 
+    def weights_at(self, places: np.ndarray) -> np.ndarray:
+        """Weights [P, V] of the vertices at places [P, 2] (m) of the flat cloth, each in the triangle it lies in."""
+        a, b, c = (self.points[self.triangles[:, k]] for k in range(3))
+        to, along, across = places[:, None] - a, b - a, c - a
+        whole = _doubled_areas(self.points, self.triangles)
+        second = (to[..., 0] * across[:, 1] - to[..., 1] * across[:, 0]) / whole
+        third = (along[:, 0] * to[..., 1] - along[:, 1] * to[..., 0]) / whole
+        shares = np.stack([1 - second - third, second, third], -1)
+        inside = shares.min(-1).argmax(1)
+        weights, row = np.zeros((len(places), len(self.points))), np.arange(len(places))
+        weights[row[:, None], self.triangles[inside]] = shares[row, inside]
+        return weights
+
 
 def square_outline() -> list[np.ndarray]:
     """The unit square as four curves [K, 2], counter-clockwise."""

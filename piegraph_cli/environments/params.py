@@ -29,6 +29,11 @@ ENVIRONMENT_HELP: dict[str, str] = {
 }
 """What each environment is, in a line."""
 ENVIRONMENT_NAMES = ", ".join(ENVIRONMENT_HELP)
+SIMULATORS: dict[str, str] = {
+    name: "Pymunk" if name == "tblock" else "DaXBench" if name.startswith("daxbench") else "MuJoCo"
+    for name in ENVIRONMENT_HELP
+}
+"""What moves each of them."""
 Numbers3 = Annotated[tuple[float, float, float], BeforeValidator(_spaced)]
 Tasks = Annotated[tuple[TaskName, ...], BeforeValidator(split_commas), Field(min_length=1)]
 Environments = Annotated[tuple[EnvironmentName, ...], BeforeValidator(split_commas), Field(min_length=1)]
@@ -138,6 +143,9 @@ class SequenceParams(EnvironmentParams):
 
 
 MOST_CAMERAS = 8
+Texture = Literal["plain", "faint", "print"]
+PATTERNED = ("tshirt", "cloth")
+"""Environments whose object can have a pattern."""
 
 
 class TroubleParams(Params):
@@ -174,15 +182,33 @@ class TroubleParams(Params):
     corners: int = Field(3, ge=1, le=8, description="in how many corners they turn")
 
 
+class SightParams(Params):
+    """How the cameras over a simulated table see, where a plan looks through them."""
+
+    cameras: int = Field(4, ge=1, le=MOST_CAMERAS, description="cameras")
+    noise: float = Field(1.0, ge=0, le=10, description="noise of depth, times a D455's")
+    moved: float = Field(0.0, ge=0, le=0.1, description="how far each camera is from where it is said to be [m]")
+    turned: float = Field(0.0, ge=0, le=20, description="how far it is turned from how it is said to be [deg]")
+    arm: bool = Field(False, description="the arm stays where its stroke ended, or else goes out of view")
+
+
 class RecordingParams(SequenceParams):
     """Everything that one rendered sequence depends on, beside its number."""
 
-    later = ("cameras", "trouble")
+    later = ("cameras", "trouble", "texture")
 
     cameras: int = Field(4, ge=1, le=MOST_CAMERAS, description="cameras of a rendered recording")
     trouble: Annotated[TroubleParams, BeforeValidator(split_pairs)] = Field(
         TroubleParams(), description="what goes wrong in a rendered recording: NAME=VALUE,... (docs/environments.md)"
     )
+
+    texture: Texture = Field("plain", description="pattern of a rendered cloth: plain, faint or print")
+
+    @model_validator(mode="after")
+    def _check_texture(self) -> "RecordingParams":
+        if self.texture != "plain" and self.environment not in PATTERNED:
+            raise ValueError(f"{self.environment} has no pattern: texture is for {', '.join(PATTERNED)}")
+        return self
 
     @model_validator(mode="after")
     def _check_cameras(self) -> "RecordingParams":

@@ -10,7 +10,7 @@ from piegraph_cli.environments import noise
 from piegraph_cli.environments.base import FRAME_RATE, TIP_HEIGHT, Environment
 from piegraph_cli.environments.hand import Hand
 from piegraph_cli.environments.hand_motion import Grip, choose_grip
-from piegraph_cli.environments.params import TroubleParams
+from piegraph_cli.environments.params import Texture, TroubleParams
 from piegraph_cli.environments.render import HAND, OBJECT, Solid
 from piegraph_cli.environments.scene import Moment, Scene
 from piegraph_cli.environments.trouble import lost_frames
@@ -172,6 +172,7 @@ def record(
     hand: Hand,
     modes: tuple[str, ...] = (),
     trouble: TroubleParams = NO_TROUBLE,
+    texture: Texture = "plain",
 ) -> Iterator[Frame]:
     """Render random strokes made by a hand, frame by frame, with sensor noise; everything follows from `seed`.
 
@@ -179,7 +180,8 @@ def record(
     """
     offsets = np.random.default_rng([seed, 1]).uniform(0, 0.004, len(cameras))
     bends = (math.radians(trouble.bend) / trouble.corners,) * trouble.corners if trouble.bend else ()
-    scene = Scene(env, plan_moments(env, seed, strokes, hand, modes, bends), cameras, hand, trouble)
+    print = env.printed(texture, np.random.default_rng([seed, 5])) if texture != "plain" else None
+    scene = Scene(env, plan_moments(env, seed, strokes, hand, modes, bends), cameras, hand, trouble, print)
     lost = lost_frames(trouble, seed, len(scene.moments), len(cameras))
     for number, moment in enumerate(scene.moments):
         rng = np.random.default_rng([seed, 2, number])

@@ -23,6 +23,24 @@ _NEAR = 2
 
 
 @dataclass(frozen=True)
+class Print:
+    """A pattern on a surface."""
+
+    coordinates: np.ndarray
+    """[V, 3] column and row of each vertex in `image`, and the contrast of the pattern there."""
+    image: np.ndarray
+    """[rows, columns, 3] linear RGB."""
+    base: np.ndarray
+    """[3] linear RGB where the contrast is 0."""
+
+    def albedo(self, coordinates: np.ndarray) -> np.ndarray:
+        """Linear RGB [P, 3] at coordinates [P, 3]."""
+        rows, columns = self.image.shape[:2]
+        column, row = np.rint(coordinates[:, :2]).astype(int).clip(0, [columns - 1, rows - 1]).T
+        return self.base + coordinates[:, 2:] * (self.image[row, column] - self.base)
+
+
+@dataclass(frozen=True)
 class Part:
     """One surface of the scene."""
 
@@ -35,6 +53,8 @@ class Part:
     """[V, 3] linear RGB in 0..1 per vertex, or [1, 3] for the whole surface."""
     smooth: bool = False
     """Shade by normals interpolated over the surface instead of one per triangle."""
+    print: Print | None = None
+    """What is seen in place of the colours."""
     normals: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -195,6 +215,8 @@ class Renderer:
             here = np.flatnonzero(hit["geomID"] == number)
             if surface.label == TABLE:
                 albedo[here] = self._grain(points[here])
+            elif surface.print is not None:
+                albedo[here] = surface.print.albedo(_interpolate(surface.print.coordinates, surface, hit, here))
             elif len(surface.colors) == 1:
                 albedo[here] = surface.colors
             else:

@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 
+from piegraph_cli.environments.base import GoalState
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene
 from piegraph_cli.environments.params import RopeOptions
 
@@ -54,13 +55,17 @@ class Rope(MujocoEnvironment):
 
     def goal(self, rng: np.random.Generator) -> np.ndarray:
         """Goal particles, float32 [N, 3] (m): where three random strokes take the rope."""
+        return self.goal_state(rng).particles
+
+    def goal_state(self, rng: np.random.Generator) -> GoalState:
+        """The goal with its nodes; nothing tells the rope's ends apart."""
         before = self.get_state()
         try:
             for _ in range(_GOAL_STROKES):
-                goal = self.step(self.sample_stroke(rng))[0]
+                goal, _, _, _, info = self.step(self.sample_stroke(rng))
         finally:
             self.set_state(before)
-        return goal
+        return GoalState(goal, info["shapes"][-1], np.stack([goal, goal[::-1]]))
 
     def _outline(self) -> tuple[np.ndarray, float]:
         return self._dense @ self.nodes[:, :2], self.options.radius

@@ -8,7 +8,7 @@ from piegraph_cli.environments.base import FRAME_RATE, Environment
 from piegraph_cli.environments.hand import Hand
 from piegraph_cli.environments.hand_motion import Grip, arm_at, hand_colors
 from piegraph_cli.environments.params import TroubleParams
-from piegraph_cli.environments.render import HAND, OBJECT, Part, Renderer, View
+from piegraph_cli.environments.render import HAND, OBJECT, Part, Print, Renderer, View
 from piegraph_cli.environments.trouble import Cover, depth_cameras, hidden_frames, still_parts
 from piegraph_cli.recording.camera import Camera
 
@@ -32,10 +32,16 @@ class Scene:
     """What cameras see of the moments of a recording."""
 
     def __init__(
-        self, env: Environment, moments: list[Moment], cameras: list[Camera], hand: Hand, trouble: TroubleParams
+        self,
+        env: Environment,
+        moments: list[Moment],
+        cameras: list[Camera],
+        hand: Hand,
+        trouble: TroubleParams,
+        print: Print | None = None,
     ):
         self.env, self.moments, self.hand, self.trouble = env, moments, hand, trouble
-        self.skin = hand_colors(hand)
+        self.skin, self.print = hand_colors(hand), print
         self.renderer = Renderer(cameras)
         self.late = dict.fromkeys(trouble.of if trouble.late else (), trouble.late)
         beside = depth_cameras(cameras, trouble)
@@ -76,7 +82,8 @@ class Scene:
         return parts + self.still, landmarks
 
     def _moving(self, moment: Moment) -> tuple[list[Part], np.ndarray]:
-        parts = [Part(self.env.surface(moment.shape), self.env.triangles, OBJECT, np.array([self.env.color]))]
+        surface, color = self.env.surface(moment.shape), np.array([self.env.color])
+        parts = [Part(surface, self.env.triangles, OBJECT, color, print=self.print)]
         if moment.tip is None or moment.grip is None:
             return parts, np.full((21, 3), np.nan)
         arm = arm_at(self.hand, moment.grip, moment.tip)

@@ -16,6 +16,7 @@ from piegraph_cli.environments.base import (
     PUSHER_RADIUS,
     TIP_HEIGHT,
     Environment,
+    GoalState,
     Motion,
     check_state,
     stroke_frames,
@@ -94,10 +95,15 @@ class TBlock(Environment):
 
         Goals that the table's reach does not allow are redrawn.
         """
+        return self.goal_state(rng).particles
+
+    def goal_state(self, rng: np.random.Generator) -> GoalState:
+        """The goal with its pose; the block looks like itself in no other one."""
         while True:
             pose = self._pose + rng.uniform(-1, 1, 3) * [0.2, 0.2, math.pi / 2]
             if (np.abs(pose[:2]) <= _CENTRE_LIMIT).all():
-                return self.particles(pose)
+                particles = self.particles(pose)
+                return GoalState(particles, pose, particles[None])
 
     def _space(self, pose: np.ndarray) -> tuple[pymunk.Space, pymunk.Body]:
         """A fresh space with the block at rest: nothing from one stroke leaks into the next."""

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from skimage.measure import marching_cubes
 
-from piegraph_cli.environments.base import REACH
+from piegraph_cli.environments.base import REACH, GoalState
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene
 from piegraph_cli.environments.params import ToyOptions
 from piegraph_cli.physics.springs import farthest_point_sample
@@ -76,6 +76,10 @@ class Toy(MujocoEnvironment):
 
         Goals that the table's reach does not allow are redrawn.
         """
+        return self.goal_state(rng).particles
+
+    def goal_state(self, rng: np.random.Generator) -> GoalState:
+        """The goal with its nodes; the toy looks like itself in no other one."""
         particles = self.particles().astype(np.float64)
         centre = particles.mean(0)
         while True:
@@ -84,7 +88,8 @@ class Toy(MujocoEnvironment):
             rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
             goal = (particles - centre) @ rotation.T + centre + [dx, dy, 0]
             if np.abs(goal[:, :2]).max() <= REACH:
-                return goal.astype(np.float32)
+                found = goal.astype(np.float32)
+                return GoalState(found, (self.nodes - centre) @ rotation.T + centre + [dx, dy, 0], found[None])
 
     def _outline(self) -> tuple[np.ndarray, float]:
         nodes = self.nodes[:, :2]

@@ -15,6 +15,11 @@ def particle_distance(predicted: np.ndarray, target: np.ndarray) -> float:
     return float(np.linalg.norm(predicted - target, axis=-1).mean()) * CENTIMETRE
 
 
+def nearest_distance(predicted: np.ndarray, copies: np.ndarray) -> float:
+    """Particle distance, in cm, to the nearest of copies [K, N, 3] (m) of the target that no cloud can tell apart."""
+    return min(particle_distance(predicted, copy) for copy in copies)
+
+
 def chamfer_distance(predicted: np.ndarray, target: np.ndarray) -> float:
     """Sum of the two mean nearest-point distances of clouds [N, 3], [M, 3] (m), in cm. Source: paper, Table I."""
     return chamfer(predicted, target) * CENTIMETRE

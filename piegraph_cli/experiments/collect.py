@@ -125,7 +125,8 @@ def _means(arrays: dict[str, np.ndarray], metric: str, horizon: int, names: list
 def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: Path, command: str) -> Iterator[Piece]:
     """The pieces of one environment's trials, one for each of its tasks and each model, where all of them were tried."""
     grid = open_run(folder / name / environment, trial_recipe(params, environment, folder))
-    trained = open_run(folder / params.run_name(environment), recipe_of(params, environment, None))
+    recipe = recipe_of(params, environment, recording_of(params, environment, folder))
+    trained = open_run(folder / params.run_name(environment), recipe)
     stage = STAGES["trials"]
     for task, label in product(params.tasks(environment), dict.fromkeys(params.trial_labels(environment))):
         units = [str(unit) for unit in grid.units(stage) if split_name(str(unit))[:2] == (task, label)]

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from piegraph_cli.dynamics.params import Labels, trained_label
+from piegraph_cli.dynamics.params import BUILT_IN, Labels, split_label, trained_label
 from piegraph_cli.environments.params import EnvironmentName, Environments, Tasks
 from piegraph_cli.params import Counts, Params, Thresholds
-from piegraph_cli.planning.params import TrialLabels
+from piegraph_cli.planning.params import LOOK, Looks, TrialLabels
 
 MEASURED = "measured"
 """In place of an environment: strokes that others measured."""
@@ -24,6 +24,7 @@ class ExperimentTrials(Params):
     thresholds: Thresholds = Field((0.02, 0.03, 0.05, 0.1), description="distances that count as success [m]")
     plan: dict[str, Any] = Field({}, description="settings of `plan` in place of the recipes'")
     fixed_goals: bool = Field(False, description="as `trials.fixed_goals`")
+    look: Looks = Field("particles", description=LOOK)
     tasks: dict[EnvironmentName, Tasks] = Field(
         {}, description="rows of an environment, as `trials.envs`: by default one"
     )
@@ -34,9 +35,9 @@ class ExperimentParams(Params):
 
     title: str = Field(description="what it shows")
     table: Literal["dynamics", "guidance", "interactions", "search"] = Field(description="the table it ends in")
-    interactions: dict[EnvironmentName | Literal["measured"], Counts] = Field(
-        description="training sequences, by environment", min_length=1
-    )
+    interactions: dict[
+        EnvironmentName | Literal["measured"], Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
+    ] = Field(description="training sequences, by environment; 0 is for what begins with a prior", min_length=1)
     models: Labels = Field(description="models to compare, by name")
     also: dict[EnvironmentName, Labels] = Field({}, description="further models in some environments")
     data: Path | None = Field(None, description="file or folder of strokes that others measured, for `import`")
@@ -77,9 +78,14 @@ class ExperimentParams(Params):
         """The models to compare in an environment, each with its number of training sequences."""
         counts = self.interactions[environment]  # type: ignore[index]
         models = (*self.models, *self.also.get(environment, ()))  # type: ignore[call-overload]
-        return [_on(model, count) for count in counts for model in models if trained_label(model)] + [
-            model for model in models if not trained_label(model)
-        ]
+        return [
+            _on(model, n) for n in counts for model in models if trained_label(model) and (n or self._knows(model))
+        ] + [model for model in models if not trained_label(model)]
+
+    def _knows(self, model: str) -> bool:
+        """Whether a model predicts before it has seen a stroke: it begins with a prior."""
+        name, variant, _ = split_label(trained_label(model) or model)
+        return bool((BUILT_IN | self.variants).get(f"{name}:{variant}", {}).get("prior"))
 
     def tasks(self, environment: str) -> tuple[str, ...]:
         """The rows of an environment's trials: itself, where it has no others."""

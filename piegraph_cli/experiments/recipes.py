@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import BUILT_IN, BY_GRADIENT, LEARNED, TrainParams, split_label, trained_label
 from piegraph_cli.errors import UsageError
 from piegraph_cli.experiments.params import MEASURED, ExperimentParams
 from piegraph_cli.params import Params, validated
-from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.params import ENVIRONMENT, PlanParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.recipe import SHIPPED, Recipe, load_recipe
 
@@ -66,7 +66,7 @@ def check_names(params: ExperimentParams, where: str) -> None:
         labels = params.labels(environment)
         for label in [*labels, *(params.trial_labels(environment) if params.trials else ())]:
             name, variant, _ = split_label(trained_label(label) or label)
-            if variant and f"{name}:{variant}" not in params.variants:
+            if variant and f"{name}:{variant}" not in BUILT_IN | params.variants:
                 raise UsageError(f'no variants."{name}:{variant}", which {label} is', where, HINT)
         trained = {trained_label(label) for label in labels}
         for label in params.trial_labels(environment) if params.trials else ():
@@ -114,14 +114,11 @@ def recipe_of(params: ExperimentParams, environment: str, recording: Path | None
         count = params.training + params.validation + params.test
         put("simulate", sequences=count, strokes=params.strokes, seed=params.simulation)
     else:
-        simulate = recipe.sections["simulate"]
         recipe = replace(recipe, sections={k: v for k, v in recipe.sections.items() if k != "simulate"})
         if recording is None or measured:
             put("import", sources=[str(recording.resolve())] if recording else [])
         else:
             put("ingest", recording=str(recording.resolve()))
-            if simulate.get("modes") or environment in ("tshirt", "cloth"):
-                put("track", mode="pick")
     put("dataset", train=params.training, validation=params.validation)
     put("train", seeds=list(params.seeds), variants=params.variants)
     train = recipe.params(STAGES["train"])
@@ -158,12 +155,13 @@ def in_force(recipe: Recipe, label: str) -> dict[str, dict[str, Any]]:
 def trials_in_force(params: ExperimentParams, environment: str) -> dict[str, dict[str, Any]]:
     """The settings that the trials of all models of an environment share."""
     assert params.trials is not None
-    trials = params.trials.model_dump(mode="json", exclude={"models", "tasks"})
+    usual = {"look"} if params.trials.look == "particles" else set()
+    trials = params.trials.model_dump(mode="json", exclude={"models", "tasks", *usual})
     plan = _told(recipe_of(params, environment, None).params(STAGES["plan"])) | trials.pop("plan")
     return {"trials": trials, "plan": {name: value for name, value in plan.items() if name not in OF_GRID}}
 
 
-OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "fixed_goals", "seed"}
+OF_GRID = {"env", "model", "planner", "strokes", "success", "episodes", "fixed_goals", "seed", "look"}
 """Settings of `plan` that the grid of trials gives."""
 
 
@@ -186,6 +184,6 @@ def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Re
     values = params.trials.model_dump(mode="json", exclude={"tasks"}) | {
         "envs": params.tasks(environment),
         "models": params.trial_labels(environment),
-        "trained": str(folder.resolve()),
+        "trained": str(folder.resolve() / params.run_name(ENVIRONMENT)),
     }
     return Recipe(STAGES).with_values(STAGES["trials"], values, "experiment", Path.cwd())

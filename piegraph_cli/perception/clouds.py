@@ -167,20 +167,43 @@ def while_closed(touching: np.ndarray, opening: np.ndarray, closed: float | None
     """
     from scipy.ndimage import label
 
-    known = np.flatnonzero(np.isfinite(opening))
-    if len(known) == 0:
+    shut = _shut(opening, closed)
+    if shut is None:
         return touching
-    filled = opening[known[(np.searchsorted(known, np.arange(len(opening)), "right") - 1).clip(0)]]
-    low, high = filled.min(), filled.max()
-    if closed is None and not opens(filled):
-        return touching
-    runs, count = label(filled <= ((low + high) / 2 if closed is None else closed))
+    runs, count = label(shut)
     holds = np.zeros_like(touching)
     for n in range(1, count + 1):
         touched = np.flatnonzero(touching & (runs == n))
         if len(touched):
             holds[touched[0] : touched[-1] + 1] = True
     return holds
+
+
+def grasped(holds: np.ndarray, opening: np.ndarray, closed: float | None = None) -> np.ndarray:
+    """Frames [F] bool of `while_closed` in which the gripper closed on the object.
+
+    One that was closed before it touched pushes.
+    """
+    from scipy.ndimage import label
+
+    shut = _shut(opening, closed)
+    if shut is None:
+        return np.zeros_like(holds)
+    runs, count = label(holds)
+    firsts = np.array([np.flatnonzero(runs == n)[0] for n in range(1, count + 1)], int)
+    grasps = [n for n, first in enumerate(firsts, 1) if first == 0 or not shut[first - 1]]
+    return np.isin(runs, grasps) & holds
+
+
+def _shut(opening: np.ndarray, closed: float | None) -> np.ndarray | None:
+    """Frames [F] bool in which a gripper is closed, as `while_closed` says; None where that is not known."""
+    known = np.flatnonzero(np.isfinite(opening))
+    if len(known) == 0:
+        return None
+    filled = opening[known[(np.searchsorted(known, np.arange(len(opening)), "right") - 1).clip(0)]]
+    if closed is None and not opens(filled):
+        return None
+    return filled <= ((filled.min() + filled.max()) / 2 if closed is None else closed)
 
 
 def _without_spikes(values: np.ndarray) -> np.ndarray:

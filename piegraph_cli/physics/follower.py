@@ -56,16 +56,25 @@ class Follower:
     """The particles on their way from cloud to cloud."""
 
     def __init__(
-        self, first: np.ndarray, graph: SpringGraph, cloud: np.ndarray, views: Sequence[View], params: TrackParams
+        self,
+        first: np.ndarray,
+        graph: SpringGraph,
+        cloud: np.ndarray,
+        views: Sequence[View],
+        params: TrackParams,
+        upright: bool,
     ):
-        """`first` [N, 3] (m): the particles in the first frame's cloud [P, 3], which cameras see as in `views`."""
+        """`first` [N, 3] (m): the particles in the first frame's cloud [P, 3], which cameras see as in `views`.
+
+        An `upright` object is never lifted, and turns about the vertical alone.
+        """
         self.params, self.graph = params, graph
         self.positions = torch.as_tensor(first, dtype=torch.float32)
         stiffness = min(params.stiffness, 0.8 * stability_bound(graph, params.damping, GRASP_GAIN * params.gain))
         self.settling = GuidanceParams(stiffness=stiffness, gain=params.gain, damping=params.damping)
         check_stability(graph, self.settling, GRASP_GAIN)
         self.moving = self.settling.model_copy(update={"iterations": params.iterations})
-        self.upright = params.mode == "push"
+        self.upright = upright
         self.soft, self.lost, self.share = None, False, 1.0
         if params.association == "soft":
             self.density = min(1.0, params.points / len(cloud))

@@ -10,6 +10,8 @@ from piegraph_cli.params import Lengths, Params
 class TrackParams(Params):
     """Settings of `track`."""
 
+    later = ("object",)
+
     association: Literal["soft", "nearest"] = Field("soft", description="soft assignment, or the paper's nearest point")
     particles: int = Field(50, ge=4, le=2000, description="particles exported")
     tracked: int = Field(150, ge=4, le=2000, description="particles tracked; the first ones are exported")
@@ -20,7 +22,12 @@ class TrackParams(Params):
     iterations: int = Field(10, ge=1, description="spring iterations after each assignment")
     scales: Lengths = Field((0.020, 0.012, 0.008), description="widths of the assignment, in turn over the rounds [m]")
     points: int = Field(800, ge=20, description="points a cloud is thinned to for the assignment")
-    mode: Literal["push", "pick"] = Field("push", description="how the hand moves the object")
+    mode: Literal["auto", "push", "pick"] = Field(
+        "auto", description="how the hand moves the object; auto: each stroke as `fuse` saw it"
+    )
+    object: Literal["auto", "sheet", "solid"] = Field(
+        "auto", description="what is followed: a sheet by its colours too; auto: a sheet where the first frame shows one"
+    )
 
     @model_validator(mode="after")
     def _check_counts(self) -> "TrackParams":

@@ -13,14 +13,17 @@ import torch
 from scipy.spatial import cKDTree
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.physics.follower import Follower, Grip
+from piegraph_cli.physics.follower import Follower, Found, Grip
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.particles import choose_particles
+from piegraph_cli.physics.sheet import Hand
+from piegraph_cli.physics.sheet_tracking import follow_sheet, taken_for_sheet
 from piegraph_cli.physics.springs import SpringGraph, build_springs
 from piegraph_cli.physics.trust import expected_error
 from piegraph_cli.physics.visibility import View
 
 LEAST_RADIUS = 0.03  # metres, of the springs
+RATE = 5.0  # frames a second, where no times are told
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,8 @@ class TrackResult:
     """[F] float32, metres: how far off the particles are expected to be, see `trust`."""
     springs: SpringGraph
     """Springs of the returned particles, at rest in the first frame."""
+    sheet: bool
+    """Whether it was followed as a sheet."""
 
 
 def spring_radius(positions: np.ndarray) -> float:
@@ -60,12 +65,14 @@ def track(
     grasp: np.ndarray | None = None,
     progress: Callable[[Sequence[np.ndarray]], Iterable[np.ndarray]] = iter,
     views: Sequence[Sequence[View]] | None = None,
+    time: np.ndarray | None = None,
 ) -> TrackResult:
     """Follow material points of an object through its clouds, [P_f, 3] metres each, table at z = 0.
 
     hand [F, 3] metres, grasp [F] bool: while grasp holds, the particles within 2 cm of where the hand closed move as
     the hand does. progress wraps the clouds (tqdm, say). views: per frame what each camera sees; without
-    them everything counts as seen. A frame of fewer than 20 points is held. Raises DataError for non-finite points,
+    them everything counts as seen. With colour images among them a sheet is followed as one: `time` [F] (s; by default
+    5 Hz) is what its physics goes by. A frame of fewer than 20 points is held. Raises DataError for non-finite points,
     naming the frame, and for a first cloud with too few of them.
 
     Source: paper, III-D and Eq. 4. `soft` is ours: with the nearest point, chosen once a frame, particles slide along
@@ -73,16 +80,20 @@ def track(
     """
     _check(clouds, hand, grasp)
     views = [()] * len(clouds) if views is None else views
-    with torch.inference_mode():
-        follower, grip = _first(clouds[0], views[0], params), Grip(hand, grasp)
-        frames = [follower.at(f, cloud, views[f], grip) for f, cloud in enumerate(progress(clouds))]
+    sheet = taken_for_sheet(clouds[0], views[0], params)
+    if sheet:
+        time = np.arange(len(clouds)) / RATE if time is None else time
+        frames = _sheet(clouds, views, time, params, _holding(hand, grasp), progress)
+    else:
+        with torch.inference_mode():
+            frames = _solid(clouds, views, params, hand, grasp, progress)
     positions, weight = (np.array([getattr(f, name) for f in frames]) for name in ("positions", "weight"))
     residual, misfit = (np.array([getattr(f, name) for f in frames], np.float32) for name in ("residual", "misfit"))
     held, lost = (np.array([getattr(f, name) for f in frames]) for name in ("held", "lost"))
     shown = slice(params.particles)
     springs = build_springs(positions[0, shown], spring_radius(positions[0, shown]))
     doubt = expected_error(positions, weight, misfit, held | lost)
-    return TrackResult(positions[:, shown], residual, weight[:, shown], misfit, held, lost, doubt, springs)
+    return TrackResult(positions[:, shown], residual, weight[:, shown], misfit, held, lost, doubt, springs, sheet)
 
 
 def _check(clouds: Sequence[np.ndarray], hand: np.ndarray | None, grasp: np.ndarray | None) -> None:
@@ -103,10 +114,44 @@ def _check(clouds: Sequence[np.ndarray], hand: np.ndarray | None, grasp: np.ndar
         raise DataError("the hand grasps at a non-finite position", hint="run hands again, or leave grasping out")
 
 
-def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams) -> Follower:
+def _solid(
+    clouds: Sequence[np.ndarray],
+    views: Sequence[Sequence[View]],
+    params: TrackParams,
+    hand: np.ndarray | None,
+    grasp: np.ndarray | None,
+    progress: Callable[[Sequence[np.ndarray]], Iterable[np.ndarray]],
+) -> list[Found]:
+    upright = params.mode == "push" or (params.mode == "auto" and grasp is None)
+    follower, grip = _first(clouds[0], views[0], params, upright), Grip(hand, grasp)
+    return [follower.at(f, cloud, views[f], grip) for f, cloud in enumerate(progress(clouds))]
+
+
+def _sheet(
+    clouds: Sequence[np.ndarray],
+    views: Sequence[Sequence[View]],
+    time: np.ndarray,
+    params: TrackParams,
+    hand: Hand | None,
+    progress: Callable[[Sequence[np.ndarray]], Iterable[np.ndarray]],
+) -> list[Found]:
+    try:
+        return follow_sheet(clouds, views, time, hand, params.particles, progress)
+    except DataError as error:
+        raise DataError(error.message, where=error.where or "frame 0", hint=error.hint) from None
+
+
+def _holding(hand: np.ndarray | None, grasp: np.ndarray | None) -> Hand | None:
+    """The hand of picks; what it holds falls in the last frame of a grasp."""
+    if hand is None or grasp is None:
+        return None
+    return Hand(hand, grasp & np.append(grasp[1:], False))
+
+
+def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams, upright: bool) -> Follower:
     try:
         first = choose_particles(cloud, params.tracked if params.association == "soft" else params.particles)
-        return Follower(first, build_springs(first, spring_radius(first)), cloud, views, params)
+        return Follower(first, build_springs(first, spring_radius(first)), cloud, views, params, upright)
     except DataError as error:
         hint = "start at a frame that shows the whole object, track fewer particles, or use finer voxels in fuse"
         raise DataError(error.message, where="frame 0", hint=hint) from None

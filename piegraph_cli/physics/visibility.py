@@ -1,6 +1,6 @@
 """Which points of an object the cameras see, which something hides, and where they see through to what is behind."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,6 +31,8 @@ class View:
     """[H, W] in the camera's units, 0 for no reading."""
     mask: np.ndarray
     """[H, W] bool: the object."""
+    image: Callable[[], np.ndarray] | None = None
+    """Gives its colours, RGB uint8 [H, W, 3], decoded when they are asked for; None where there are none."""
 
     @cached_property
     def near_mask(self) -> np.ndarray:

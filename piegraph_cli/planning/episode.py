@@ -41,6 +41,12 @@ class Episode:
     """What distances are: `distance` of particles, `emd` or `chamfer`."""
     ending: Ending
     """Why it ended."""
+    true: tuple[np.ndarray, ...] = ()
+    """[N, 3] metres each: the states as they were, at the start and after each stroke, where `steps` has what cameras saw."""
+    copies: np.ndarray | None = None
+    """[K, N, 3] metres: the goal's particles in every way of lying there that no cloud can tell apart, where it is known."""
+    said: tuple[str, ...] = ()
+    """What was wrong with looks."""
 
     @property
     def strokes(self) -> Strokes | None:
@@ -75,7 +81,7 @@ def play(
     trained. Strokes are searched on `device`.
     """
     state, wanted = _task(environment, params, choose_goal, start, goal)
-    params = _within(params, environment.walls)
+    params = within(params, environment.walls)
     tool, seed = tool_of(environment), [params.seed, 2, start, goal]
     cost, make_plan = make_planner(trained, state, wanted, params, tool, seed, device)
 
@@ -96,7 +102,7 @@ def play(
     return Episode(state, wanted.points, steps, first, last, metric(params, wanted), ending)
 
 
-def _within(params: PlanParams, walls: tuple[float, float, float, float] | None) -> PlanParams:
+def within(params: PlanParams, walls: tuple[float, float, float, float] | None) -> PlanParams:
     """The settings with strokes inside an environment's walls, at which a tool would stop short of where it was sent."""
     if walls is None:
         return params
@@ -108,20 +114,29 @@ def _within(params: PlanParams, walls: tuple[float, float, float, float] | None)
 def _task(
     environment: Any, params: PlanParams, choose_goal: Callable[[np.ndarray], Goal] | None, start: int, goal: int
 ) -> tuple[np.ndarray, Goal]:
-    """Particles [N, 3] (m) of a start, at which the environment then is, and the goal.
+    """Particles [N, 3] (m) of a start, at which the environment then is, and the goal."""
+    state, drawn = draw_task(environment, params, start, goal, None if choose_goal else environment.goal)
+    return state, choose_goal(state) if choose_goal else Goal.of_particles(drawn)
+
+
+def draw_task(
+    environment: Any, params: PlanParams, start: int, goal: int, draw: Callable | None
+) -> tuple[np.ndarray, Any]:
+    """Particles [N, 3] (m) of a start, at which the environment then is, and what `draw(rng)` makes its goal, if anything.
 
     A goal in place is one from a start of its own number; a start that coincides with it is drawn again.
     """
     rng = np.random.default_rng([params.seed, 1, goal])
-    if choose_goal or not params.fixed_goals:
+    if draw is None or not params.fixed_goals:
         state = _start(environment, params.seed, start)
-        return state, choose_goal(state) if choose_goal else Goal.of_particles(environment.goal(rng))
+        return state, None if draw is None else draw(rng)
     environment.reset(seed=_number(params.seed, 4, goal))
-    place = environment.goal(rng)
+    drawn = draw(rng)
+    place = getattr(drawn, "particles", drawn)
     for again in range(TRIES):
         state = _start(environment, params.seed, start, again)
         if np.linalg.norm(state - place, axis=1).mean() > APART:
-            return state, Goal.of_particles(place)
+            return state, drawn
     hint = "a larger object, or options of the environment with goals that differ from its starts"
     raise DataError(f"every start lies within {APART * 100:g} cm of goal {goal}", str(params.env), hint)
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError
-from piegraph_cli.perception.size import check_size
+from piegraph_cli.perception.size import UNLIKE, check_size
 from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
 from piegraph_cli.physics.springs import build_springs
 
@@ -29,6 +29,8 @@ ABOVE = 0.03
 """Metres above one and a half times the trained object's height from which something else stands there."""
 OTHER = 0.15
 """Share of the points from which what lies apart is another thing, no stray points."""
+LOWEST, LIFTED = 5, 0.012
+"""Percentile of a cloud's heights that tells where it lies, and how far (m) it may lie from the table of another."""
 FOLDED = 1.65
 """Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
 
@@ -66,6 +68,30 @@ def check_goal(goal: np.ndarray, count: int, sizes: Sizes) -> list[str]:
     except DataError as error:
         said = [f"{error.message}\n  try: {error.hint}"]
     return [f"the goal: {text}" for text in said]
+
+
+def require_goal(goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes | None) -> None:
+    """Raise `DataError`, with what differs, for a goal cloud [G, 3] (m) that the object of a cloud [P, 3] (m) cannot be.
+
+    Of another size than a trained object's `sizes`; of other spacing, where nothing was trained; or on another table.
+    """
+    lift = float(np.percentile(goal[:, 2], LOWEST) - np.percentile(cloud[:, 2], LOWEST))
+    if abs(lift) > LIFTED:
+        side = "above" if lift > 0 else "below"
+        text = f"the goal lies {abs(lift) * 1000:.0f} mm {side} the table that the object lies on"
+        raise DataError(text, "the goal", "look at object and goal on one table, with one calibration")
+    if len(goal) < count:
+        return
+    there = size_of(choose_particles(goal, count))
+    if sizes is not None:
+        check = check_size(there, sizes, ())
+        if check.verdict == "bad":
+            raise DataError(f"the goal is no cloud of this object: {check.text}", "the goal", UNLIKE_REMEDY)
+        return
+    now = size_of(choose_particles(cloud, count))
+    if max(there.spacing / now.spacing, now.spacing / there.spacing) > UNLIKE[1]:
+        text = f"the goal's particles lie {there.spacing * 100:.1f} cm apart, the object's {now.spacing * 100:.1f} cm"
+        raise DataError(f"{text}: it is another object, or of another size", "the goal", "give a goal of this object")
 
 
 def check_folds(particles: np.ndarray, trained: Trained, radius: float) -> list[str]:

@@ -14,7 +14,9 @@ from piegraph_cli.planning.experience import Tried, tried
 from piegraph_cli.planning.search import Plan
 
 Act = Callable[[Strokes], tuple[np.ndarray, bool]]
-Ending = Literal["reached", "strokes spent", "no stroke is possible", "no stroke is expected to help", "planned"]
+Ending = Literal[
+    "reached", "strokes spent", "no stroke is possible", "no stroke is expected to help", "the look is bad", "planned"
+]
 """Why an episode ended: `planned` where its strokes are still to be carried out."""
 
 

@@ -12,12 +12,18 @@ from piegraph_cli.environments.params import (
     EnvironmentName,
     EnvironmentParams,
     EnvironmentSettings,
+    SightParams,
     Tasks,
 )
-from piegraph_cli.params import Box, Boxes, Modes, Params, Pose2, Table, Thresholds, split_commas
+from piegraph_cli.params import Box, Boxes, Modes, Params, Pose2, Table, Thresholds, split_commas, split_pairs
 
 TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(split_commas), Field(min_length=1)]
 
+
+ENVIRONMENT = "ENV"
+"""The last part of a path, or how it begins before a hyphen: the name of each environment."""
+Looks = Literal["particles", "cameras"]
+LOOK = "what the planner knows of the object in --env: its particles, or what cameras see of it, and of the goal"
 
 FIXED_GOALS = "goals of --env stay in place whatever the start, as the paper's; else each lies so far from its start"
 
@@ -61,6 +67,10 @@ class PlanParams(PredictionParams, EnvironmentParams):
         "caution",
         "stop",
         "fixed_goals",
+        "look",
+        "keep",
+        "sight",
+        "accept",
     )
 
     env: EnvironmentName | None = Field(None, description="simulated environment to act in, closed loop")
@@ -113,6 +123,17 @@ class PlanParams(PredictionParams, EnvironmentParams):
         0.0, ge=0, description="noise on the particles that the planner sees in --env, to test it [m]"
     )
     success: float = Field(0.02, gt=0, description="an episode has succeeded below this distance [m]")
+    look: Looks = Field("particles", description=LOOK)
+    accept: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
+        (), description="checks of a look that may be bad, as in `look --accept`: NAME,..."
+    )
+    keep: Literal["resample", "track"] = Field(
+        "resample",
+        description="particles with --look cameras: fresh ones at every look, or carried on by 5 Hz frames of the stroke",
+    )
+    sight: Annotated[SightParams, BeforeValidator(split_pairs)] = Field(
+        SightParams(), description="how the cameras of --look cameras see: NAME=VALUE,... (docs/trials.md)"
+    )
     episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
     fixed_goals: bool = Field(False, description=FIXED_GOALS)
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
@@ -139,6 +160,8 @@ class PlanParams(PredictionParams, EnvironmentParams):
             raise ValueError(f"min_length {self.min_length:g} is not below max_length {self.max_length:g}")
         if self.look_every > self.horizon:
             raise ValueError(f"look_every {self.look_every} is more than horizon {self.horizon}: so many are planned")
+        if self.look == "cameras" and self.state_noise:
+            raise ValueError("state_noise is for look = particles: cameras have noise of their own, sight.noise")
         return self
 
     def goal_place(self) -> Place:
@@ -158,12 +181,13 @@ class PlanParams(PredictionParams, EnvironmentParams):
     def content(self) -> dict[str, Any]:
         """As for all settings, and the frames of goal and state: of these files alone the content counts.
 
-        Without how a plan is told; a table at z = 0 and no file with the robot are left out.
+        Without how a plan is told; a table at z = 0, no file with the robot, and cameras that nobody sees by are left out.
         """
         placed = self._placed().items()
         frames: dict[str, Any] = {f"{name}_frame": place.frame for name, place in placed if place.frame is not None}
         frames |= {f"{name}_key": place.key for name, place in placed if place.key is not None}
         unsaid = {"frame"} | ({"table"} if not any(self.table or ()) else set()) | ({"cameras"} - {*self.files()})
+        unsaid |= {"keep", "sight"} if self.look == "particles" else set()
         return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 
     def files(self) -> dict[str, Path]:
@@ -190,17 +214,26 @@ class TrialsParams(EnvironmentParams):
     goals: int = Field(10, ge=1, description="goals per environment")
     seeds: int = Field(10, ge=1, description="starts per goal")
     fixed_goals: bool = Field(False, description=FIXED_GOALS)
+    look: Looks = Field("particles", description=LOOK)
     strokes: int = Field(30, ge=1, description="most strokes in one trial")
     thresholds: Thresholds = Field(
         (0.02, 0.03, 0.05, 0.1), description="distances that count as success; the smallest one ends a trial [m]"
     )
     trained: Path | None = Field(
-        None, description="folder with a trained run per environment, by its name (default: the one the run lies in)"
+        None,
+        description=f"folder with a trained run per environment, by its name (default: the one the run lies in), or a "
+        f"run's folder with {ENVIRONMENT} in place of that name",
     )
     options: EnvironmentSettings = Field(
         {}, description="options of the environments: ENV.NAME=VALUE,... (docs/environments.md)"
     )
     plan: dict[str, Any] = Field({}, description="settings of `plan` in place of those of the trained runs")
+
+    def trained_run(self, env: str, beside: Path) -> Path:
+        """The folder of an environment's trained run, for trials in a run that lies in the folder `beside`."""
+        given = self.trained or beside
+        named = given.name == ENVIRONMENT or given.name.startswith(f"{ENVIRONMENT}-")
+        return given.with_name(given.name.replace(ENVIRONMENT, env, 1)) if named else given / env
 
 
 class TrialParams(Params):

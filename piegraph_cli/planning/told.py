@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from piegraph_cli.params import mode_word
+from piegraph_cli.planning.goals import thinned
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.path import PICK_PARTS, PUSH_PARTS, WAY_POINTS, tool_path
 from piegraph_cli.planning.search import INFEASIBLE
@@ -21,11 +22,12 @@ if TYPE_CHECKING:
 def plan_arrays(episodes: "Sequence[Episode]", params: PlanParams) -> dict[str, np.ndarray]:
     """What is kept of episodes [E], with S steps in all: the datasets of the artifact `plan`, in its units."""
     particles, steps = len(episodes[0].start), [step for episode in episodes for step in episode.steps]
+    least = min(len(episode.goal) for episode in episodes)  # clouds have as many points as were seen
     return (
         step_arrays(steps, particles)
         | _path_arrays(steps, params)
         | {
-            "goal": np.array([episode.goal for episode in episodes]),
+            "goal": np.array([thinned(episode.goal, least) for episode in episodes]),
             "metric": np.array([episode.metric for episode in episodes]),
             "seed": np.full(len(episodes), params.seed),
             "start_distance": np.array([episode.start_distance for episode in episodes]),

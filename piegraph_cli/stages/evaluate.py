@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from piegraph_cli.environments.params import SIMULATORS
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.params import EvaluateParams, ModelEvaluateParams
-from piegraph_cli.stages import score, train
+from piegraph_cli.stages import score, simulate, train
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Told
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
@@ -69,6 +70,7 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
     from piegraph_cli.stages.learning import read_model, read_sequence
 
     set_up_torch()
+    _check_apart(inputs, context.run)
     data, trained = inputs["dataset"], read_model(inputs["model"]) if "model" in inputs else None
     names = data.texts("sequence_name")
     rows: dict[str, list] = {name: [] for name in COLUMNS}
@@ -84,6 +86,20 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
         )
     arrays = {name: np.array(values) for name, values in rows.items()}
     return Output(arrays, _quality(arrays, params), _warnings(arrays, params))
+
+
+def _check_apart(inputs: dict[str, Any], run: "Run") -> None:
+    """Refuse a model whose prior comes from the simulator of the test: it has seen what it is tested on."""
+    model = inputs.get("model")
+    if model is None or "prior_simulator" not in model or run.producer("tracks") != simulate.STAGE:
+        return
+    environment = run.params(simulate.STAGE.name).environment
+    if SIMULATORS[environment] in model.texts("prior_simulator"):
+        raise DataError(
+            f"its prior has learned from {SIMULATORS[environment]}, which the test sequences come from",
+            str(model.path),
+            "a prior of other physics: --from prior",
+        )
 
 
 def measured(run: "Run", name: str) -> bool:

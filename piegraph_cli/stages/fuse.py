@@ -3,6 +3,7 @@
 from typing import Any
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.perception.params import FuseParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -12,7 +13,7 @@ STAGE = Stage(
     ("frames", "hands", "masks"),
     "clouds",
     FuseParams,
-    version=2,
+    version=3,
     run="piegraph_cli.stages.fuse:run",
 )
 
@@ -21,7 +22,8 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     """Fuse one sequence."""
     import numpy as np
 
-    from piegraph_cli.perception.clouds import contact, fuse, while_closed
+    from piegraph_cli.perception.clouds import contact, fuse, grasped, while_closed
+    from piegraph_cli.perception.pinch import picks, with_picks
     from piegraph_cli.recording.images import ImageStack
     from piegraph_cli.stages.images import cameras_of, depth_of, workspace_of
 
@@ -43,13 +45,19 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     touching = contact(hands["end_effector"], clouds, params.contact_radius)
     if "opening" in hands.arrays:
         touching = while_closed(touching, hands["opening"], params.closed)
+        held = grasped(touching, hands["opening"], params.closed)
+    else:
+        held = picks(hands["landmarks"], hands["end_effector"], clouds, 2 * params.contact_radius)
+        touching = with_picks(touching, held)
     arrays = {
         "points": np.concatenate(clouds),
         "offsets": np.concatenate([[0], sizes.cumsum()]),
         "end_effector": hands["end_effector"],
         "contact": touching,
+        "mode": np.where(held, PICK, PUSH).astype(np.uint8),
         "time": frames["time"],
     }
     quality = f"{np.median(sizes):.0f} points a frame, {(sizes > 0).mean():.0%} of the frames, contact in {touching.mean():.0%}"
+    quality += f", {held.mean():.0%} held" if held.any() else ""
     warnings = [] if touching.any() else ["the hand never touches the object: no stroke will be found in this sequence"]
     return Output(arrays, quality, warnings)

@@ -1,6 +1,7 @@
 """What stages read of a frames artifact: its cameras, images and workspace."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,7 +55,7 @@ class Views(Sequence["list[View]"]):
     """Per frame what each camera sees, decoded when it is asked for."""
 
     def __init__(self, frames: Artifact, masks: Artifact):
-        self.cameras, self.depth = cameras_of(frames), depth_of(frames)
+        self.cameras, self.depth, self.color = cameras_of(frames), depth_of(frames), color_of(frames)
         self.mask = ImageStack(masks["mask"], masks["mask_offsets"], len(self.cameras), "mask")
         self.frames = len(frames["time"])
 
@@ -64,5 +65,7 @@ class Views(Sequence["list[View]"]):
     def __getitem__(self, frame):
         from piegraph_cli.physics.visibility import View
 
-        every = enumerate(self.cameras)
-        return [View(camera, self.depth.depth(frame, c), self.mask.mask(frame, c)) for c, camera in every]
+        return [
+            View(camera, self.depth.depth(frame, c), self.mask.mask(frame, c), partial(self.color.color, frame, c))
+            for c, camera in enumerate(self.cameras)
+        ]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from piegraph_cli.errors import DataError, UsageError, command_line
 from piegraph_cli.planning.params import Place, PlanParams
 from piegraph_cli.stages import evaluate, train
+from piegraph_cli.stages.seen import true_distances
 from piegraph_cli.stages.steps import check_environments
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
@@ -75,9 +76,22 @@ STAGE = Stage(
     inputs=_inputs,
     check=_check,
     call=Call(
-        first=("env", "state", "goal", "goal_pose", "goal_at", "model", "horizon", "samples", "strokes", "episodes"),
+        first=(
+            "env",
+            "state",
+            "goal",
+            "goal_pose",
+            "goal_at",
+            "model",
+            "look",
+            "horizon",
+            "samples",
+            "strokes",
+            "episodes",
+        ),
         remembers=False,  # each question stands for itself: an old goal must not move a robot
         describe="piegraph_cli.stages.plan:describe",
+        refuses="piegraph_cli.stages.seen:refused",
         out=True,
     ),
 )
@@ -102,7 +116,7 @@ def run(inputs: dict[str, Any], params: PlanParams, context: Context) -> Output:
         found = _answer(model, params, state)
         warnings += [f"{params.state}: {warning}" for warning in found.warnings]
         episodes = [found]
-    arrays = plan_arrays(episodes, params)
+    arrays = plan_arrays(episodes, params) | true_distances(episodes)
     return Output(arrays, _quality(arrays, params), warnings)
 
 
@@ -111,6 +125,7 @@ def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["E
     from piegraph_cli.planning.episode import play, tool_of
     from piegraph_cli.planning.planner import tool_warnings
     from piegraph_cli.planning.question import wanted
+    from piegraph_cli.planning.seeing import play_seen
     from piegraph_cli.stages.points import read_points
     from piegraph_cli.stages.steps import open_environment
 
@@ -121,10 +136,16 @@ def _play(model: "Model", params: PlanParams, context: Context) -> tuple[list["E
         return wanted(model.trained, params, state, state, cloud)
 
     environment = open_environment(params, model)
-    numbers = context.progress(range(params.episodes), "episodes")
-    goals = choose if asked else None
-    episodes = [play(environment, model.trained, params, goals, start=i, goal=i, device=model.device) for i in numbers]
-    return episodes, tool_warnings(params, tool_of(environment))
+    numbers, goals = context.progress(range(params.episodes), "episodes"), choose if asked else None
+    episodes = []
+    for i in numbers:
+        task: dict[str, Any] = {"start": i, "goal": i, "device": model.device}
+        if params.look == "cameras":
+            episodes.append(play_seen(environment, model.trained, params, cloud, **task))
+        else:
+            episodes.append(play(environment, model.trained, params, goals, **task))
+    said = [f"episode {i}: {text}" for i, episode in enumerate(episodes) for text in episode.said]
+    return episodes, [*tool_warnings(params, tool_of(environment)), *said]
 
 
 def _check_question(run: "Run", params: PlanParams) -> None:
@@ -136,6 +157,10 @@ def _check_question(run: "Run", params: PlanParams) -> None:
         raise UsageError("--state needs a goal", "piegraph plan", hint)
     if goals > 1:
         raise UsageError("give one goal, not two", "piegraph plan", "--goal, --goal-pose or --goal-at")
+    if params.env is None and params.look == "cameras":
+        raise UsageError(
+            "--look is for --env: --state names what cameras see", "piegraph plan", "--state RECORDING/SEQUENCE"
+        )
     if params.env is not None and (params.frame != "world" or params.table is not None):
         raise UsageError("--frame and --table are for --state: --env has a world of its own", "piegraph plan")
     told_in(run, params)
@@ -151,7 +176,7 @@ def _state(params: PlanParams, context: Context) -> tuple["np.ndarray", list[str
 
     run = context.run.folder
     of_run = run if (run / "recipe.toml").is_file() else None
-    settings = look_settings(of_run, ingest={"table": params.table or (0, 0, 0)})
+    settings = look_settings(of_run, accept=params.accept, ingest={"table": params.table or (0, 0, 0)})
     seen = look(*read_scene(str(params.state)), settings)
     try:
         seen.require()
@@ -231,8 +256,11 @@ def describe(run: "Run") -> tuple[dict[str, Any], list[str]]:
     params = _settings(run, None)
     T = told_in(run, params)
     rows, lines = stroke_rows(plan.arrays, T), [plan.quality]
+    for row, true in zip(rows, plan.arrays.get("true_distance", ()), strict=False):
+        row["true_distance"] = float(true)
     for row in rows:
         reached = f", reached {row['distance'] * 100:.1f} cm" if "distance" in row else ""
+        reached += f" (truly {row['true_distance'] * 100:.1f})" if "true_distance" in row else ""
         unsure = "" if row["expected_error"] is None else f" (± {row['expected_error'] * 100:.1f})"
         start, end = (", ".join(f"{x:+.3f}" for x in row[name]) for name in ("start", "end"))
         lines.append(

@@ -29,7 +29,7 @@ class Error(Result):
     try_: str | None = Field(alias="try")
     """The command or change to try next."""
     exit_code: int
-    """Of a command that ends with this: 2, 3, 3, 4, 4, 1, 130 in the order of the kinds."""
+    """Of a command that ends with this: 2, 3, 3, 4, 4, 1, 130 (143 by SIGTERM, 129 by SIGHUP) in the order of the kinds."""
 
 
 class Outcome(Result):
@@ -178,6 +178,8 @@ class Stroke(Result):
     """How far the predicted particles may be off [m]; `null` where the model was not evaluated."""
     distance: Number = None
     """To the goal after the stroke [m], where it was executed."""
+    true_distance: Number = None
+    """How far it truly was then, where cameras saw it: particle distance to the nearest copy of the goal [m]."""
     blocked: bool | None = None
     """Whether the tool was stopped, where it was executed."""
     path: list[WayPoint]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.params import mode_number
+from piegraph_cli.params import PICK, PUSH, mode_number
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -20,7 +20,7 @@ STAGE = Stage(
     ("frames", "masks", "clouds"),
     "tracks",
     TrackParams,
-    version=3,
+    version=4,
     run="piegraph_cli.stages.track:run",
 )
 
@@ -35,19 +35,20 @@ def track_clouds(
     hand: "np.ndarray | None" = None,
     grasp: "np.ndarray | None" = None,
     views: "Sequence[Sequence[View]] | None" = None,
+    time: "np.ndarray | None" = None,
     progress: Callable[..., Iterable] = iter,
 ) -> "TrackResult":
     """Follow material points of an object through its clouds, [P, 3] metres each, z up, the table at z = 0.
 
     `hand` [F, 3] (m) and `grasp` [F]: where the hand is, and whether it holds the object, for picks. `views`: per frame
-    what each camera sees; without them everything counts as seen. Raises `DataError` for
+    what each camera sees; without them everything counts as seen. `time` [F] (s, by default 5 Hz). Raises `DataError` for
     points that are not finite, naming the frame, and for a first cloud with too few of them. Source: paper, III-D.
     """
     from piegraph_cli.physics.tracking import track
     from piegraph_cli.process import set_up_torch
 
     set_up_torch()
-    return track(clouds, params, hand, grasp, progress, views)
+    return track(clouds, params, hand, grasp, progress, views, time)
 
 
 def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output:
@@ -58,11 +59,20 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
 
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])
-    held = {"hand": source["end_effector"], "grasp": source["contact"]} if params.mode == "pick" else {}
+    mode = np.full(len(clouds), PUSH if params.mode == "auto" else mode_number(params.mode))
+    if params.mode == "auto" and "mode" in source:
+        mode = source["mode"]
+    grasp = source["contact"] & (mode == PICK)
+    held = {"hand": _filled(source["end_effector"]), "grasp": grasp} if grasp.any() else {}
     views = Views(inputs["frames"], inputs["masks"])
     try:
         tracked = track_clouds(
-            clouds, params, views=views, progress=lambda c: context.progress(c, "frames", len(clouds)), **held
+            clouds,
+            params,
+            views=views,
+            time=source["time"],
+            progress=lambda c: context.progress(c, "frames", len(clouds)),
+            **held,
         )
     except DataError as error:
         raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None
@@ -71,7 +81,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         "positions": tracked.positions,
         "residual": tracked.residual,
         "visibility": tracked.weight,
-        "mode": np.full(frames, mode_number(params.mode)),
+        "mode": mode,
         "end_effector": source["end_effector"],
         "contact": source["contact"],
         "time": source["time"],
@@ -80,8 +90,18 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         told = f"residual {tracked.residual.mean() * 1000:.1f} mm; how far off is not known: particles slide"
         return Output(arrays, f"{frames} frames, {told}", _lost(tracked))
     arrays |= {"trust/doubt": tracked.doubt, "trust/misfit": tracked.misfit}
-    quality = f"{frames} frames, expected error {tracked.doubt.mean() * 1000:.1f} mm"
+    quality = f"{frames} frames{', a sheet' if tracked.sheet else ''}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
     return Output(arrays, quality, _lost(tracked) + _doubts(tracked))
+
+
+def _filled(hand: "np.ndarray") -> "np.ndarray":
+    """The hand's path [F, 3] (m) on straight lines where it is not known, as it may be while it holds the object."""
+    import numpy as np
+
+    frames, known = np.arange(len(hand)), np.isfinite(hand).all(1)
+    if not known.any():
+        return hand
+    return np.stack([np.interp(frames, frames[known], axis[known]) for axis in hand.T], 1).astype(hand.dtype)
 
 
 def _lost(tracked: "TrackResult") -> list[str]:

@@ -8,9 +8,10 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.dynamics.params import LEARNED, ModelParams, TrainParams, split_label, trained_label
-from piegraph_cli.errors import DataError, MissingError, command_line
-from piegraph_cli.params import validated
+from piegraph_cli.dynamics.params import LEARNED, EGNNParams, ModelParams, TrainParams, split_label, trained_label
+from piegraph_cli.errors import DataError, MissingError, UsageError, command_line
+from piegraph_cli.params import PUSH, validated
+from piegraph_cli.stages.prior import adopted
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Given, Option, options_of
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from piegraph_cli.dynamics.examples import Sequences
     from piegraph_cli.dynamics.rigid_body import RigidBody
     from piegraph_cli.dynamics.training import Trainer
+    from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 
 BENT = 0.005
@@ -29,6 +31,9 @@ RIGID = "; the object moves rigidly: `piegraph train --model rigid` learns that 
 
 STATES = 400
 """States of the object that tell how large it is, at most."""
+
+FEW = 5
+"""Strokes below which the user is told that they say little."""
 
 RECORDS = 20
 """Losses are noted this many times in the first cycle of a training."""
@@ -67,7 +72,7 @@ def _settings(run: "Run", unit: str) -> ModelParams:
     return ModelParams(
         label=label,
         seed=seed,
-        settings=params.of(label),
+        settings=adopted(params.of(label)),
         checkpoint_every=params.checkpoint_every,
         tensorboard=params.tensorboard,
     )
@@ -102,6 +107,7 @@ def _options() -> dict[str, Option]:
     for learner, params in LEARNED.items():
         for name, option in options_of(params).items():
             by_name.setdefault(name, {})[learner] = option
+    by_name["from_"] = by_name.pop("prior")
     for name, of in by_name.items():
         whose = {o.default: [model for model, other in of.items() if other.default == o.default] for o in of.values()}
         models = "; ".join(", ".join(m) + (f" [default: {default}]" if default else "") for default, m in whose.items())
@@ -120,6 +126,8 @@ def _apply(run: "Run", given: Given) -> tuple[dict[str, Any], tuple[str, ...]]:
     params: TrainParams = run.params(STAGE.name)
     model, seeds = given.get("model"), _seeds(given.get("seed"))
     label = (trained_label(model) or model) if model else "piegraph"
+    if "from_" in settings:
+        settings["prior"] = settings.pop("from_")
     if settings:
         name = re.split("[:@]", label)[0]
         values[name] = run.recipe.sections.get(STAGE.name, {}).get(name, {}) | settings
@@ -156,7 +164,7 @@ STAGE = Stage(
     command=_command,
     call=Call(
         more="Settings are those of --model (piegraph where it is left out); those that it does not have are refused.",
-        first=("model", "seed", "steps", "batch", "learning_rate", "hidden", "layers"),
+        first=("model", "seed", "from_", "steps", "batch", "learning_rate", "hidden", "layers"),
         options=_options,
         apply=_apply,
     ),
@@ -177,6 +185,10 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     name, _, count = split_label(params.label)
     learner = MODELS[name].learner
     assert learner is not None
+    if isinstance(params.settings, EGNNParams) and params.settings.prior is not None:
+        return _tune(inputs["dataset"], params, context)
+    if count == 0:
+        raise UsageError("no strokes to learn from", params.label, "only what begins with a prior does without: --from")
     data = read_sequences(inputs["dataset"], TRAIN, count, params.seed)
     network = make_network(name, params.settings, data.picks, params.seed)
     about = _about(data)
@@ -192,6 +204,34 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     arrays, quality, warnings = _learned(trainer)
     quality += RIGID if name == "piegraph" and is_rigid(data) else ""
     return Output(arrays | about, quality, warnings)
+
+
+def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
+    """What a prior makes of the dataset's training sequences; of none at all, where the label says @0."""
+    import numpy as np
+
+    from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
+    from piegraph_cli.dynamics.tuning import check_block, start_tuning, tuned_steps, unseen
+    from piegraph_cli.stages.learning import read_sequences
+    from piegraph_cli.stages.prior import read_prior
+
+    settings, count = params.settings, split_label(params.label)[2]
+    assert isinstance(settings, EGNNParams)
+    prior, simulators = read_prior(settings.files()["prior"])
+    data = read_sequences(dataset, TRAIN, count or None, params.seed)
+    data = unseen(data) if count == 0 else data
+    check_block(data)
+    held_out = None if count == 0 else read_sequences(dataset, VALIDATION)
+    if held_out is None or not len(held_out.strokes):
+        settings = settings.model_copy(update={"steps": tuned_steps(prior, data, settings, params.seed)})
+    trainer = start_tuning(prior, data, held_out, settings, params.seed)
+    _fit(trainer, params, context)
+    arrays, quality, warnings = _learned(trainer)
+    quality = quality.replace("examples", "examples and simulated strokes of this object")
+    if 0 < len(data.strokes) < FEW:
+        told = counted(len(data.strokes), "stroke")
+        warnings.append(f"{told} to learn from: friction and pusher are hardly told by them; record {FEW} or more")
+    return Output(arrays | _about(data) | {"prior_simulator": np.array(simulators)}, quality, warnings)
 
 
 def _learned(trainer: "Trainer") -> tuple[dict[str, Any], str, list[str]]:
@@ -220,10 +260,10 @@ def _about(data: "Sequences") -> dict[str, Any]:
 
     return {
         "particles": np.array(data.positions.shape[1]),
-        "modes": np.unique(data.mode),
-        "pace": np.array(data.pace),
+        "modes": np.unique(data.mode) if len(data.mode) else np.array([PUSH]),
+        "pace": np.array(data.pace if len(data.strokes) else 0.0),
         "rest": data.rest[0],
-        "size": Sizes.of(data.at_rest(STATES)).array(),
+        "size": Sizes.of(data.at_rest(STATES) if len(data.strokes) else list(data.rest)).array(),
     }
 
 

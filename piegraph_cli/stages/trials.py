@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _QUESTION = {
     *("env", "state", "goal", "goal_pose", "goal_at", "table", "frame", "cameras"),
-    *("model", "strokes", "success", "episodes", "fixed_goals", "seed"),
+    *("model", "strokes", "success", "episodes", "fixed_goals", "seed", "look"),
 }
 """Settings of `plan` that the grid gives."""
 
@@ -52,7 +52,7 @@ def _settings(run: "Run", unit: str) -> TrialParams:
     params: TrialsParams = run.params(STAGE.name)
     task, model, goal, seed = split_name(unit)
     env, goals = split_task(task)
-    trained = run.beside((params.trained or run.folder.resolve().parent) / env)
+    trained = run.beside(params.trained_run(env, run.folder.resolve().parent))
     kept: PlanParams = trained.params("plan")
     settings = kept.model_dump(exclude=_QUESTION) | {k: v for k, v in params.plan.items() if k not in _QUESTION}
     settings |= {"model": "static", "planner": "greedy"} if model == "greedy" else {"model": model}
@@ -62,7 +62,7 @@ def _settings(run: "Run", unit: str) -> TrialParams:
         given = getattr(params, interpreter) or settings[interpreter]
         settings[interpreter] = given if env.startswith("daxbench-") else None
     settings |= {"env": env, "strokes": params.strokes, "success": min(params.thresholds)}
-    settings["fixed_goals"] = params.fixed_goals
+    settings |= {"fixed_goals": params.fixed_goals, "look": params.look}
     plan = validated(PlanParams, settings, "plan", "trials.plan", "piegraph plan --help")
     seeds = trained.params("train").seeds_of(model)
     name = train.model_name(model, seeds[seed % len(seeds)])
@@ -104,7 +104,7 @@ STAGE = Stage(
     settings=_settings,
     check=_check,
     call=Call(
-        first=("envs", "models", "goals", "seeds", "fixed_goals", "strokes", "options"),
+        first=("envs", "models", "goals", "seeds", "fixed_goals", "look", "strokes", "options"),
         describe="piegraph_cli.stages.trials:describe",
     ),
 )
@@ -114,10 +114,11 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     """Play one trial. Distances along it are kept: `pd` and `cd` [strokes + 1] (m), the first before any stroke."""
     import numpy as np
 
-    from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, particle_distance
+    from piegraph_cli.evaluation.metrics import CENTIMETRE, chamfer_distance, nearest_distance
     from piegraph_cli.planning.episode import play, tool_of
     from piegraph_cli.planning.model import Model
     from piegraph_cli.planning.planner import tool_warnings
+    from piegraph_cli.planning.seeing import play_seen
     from piegraph_cli.planning.told import step_arrays
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.learning import calibrated, read_model
@@ -128,18 +129,20 @@ def run(inputs: dict[str, Any], params: TrialParams, context: Context) -> Output
     trained = None if model is None else calibrated(read_model(model), _read_metrics(params))
     environment = open_environment(params.plan, Model(params.plan.model, trained))
     device = choose_device(context.device)
-    episode = play(environment, trained, params.plan, start=params.seed, goal=params.goal, device=device)
-    states = episode.states
+    through = play_seen if params.plan.look == "cameras" else play
+    episode = through(environment, trained, params.plan, start=params.seed, goal=params.goal, device=device)
+    copies = episode.goal[None] if episode.copies is None else episode.copies
+    states = episode.true or episode.states
     arrays = step_arrays(episode.steps, len(episode.start)) | {
         "goal": episode.goal,
         "start_distance": np.array(episode.start_distance),
         "end_distance": np.array(episode.end_distance),
         "ending": np.array(episode.ending),
-        "pd": np.array([particle_distance(state, episode.goal) for state in states]) / CENTIMETRE,
-        "cd": np.array([chamfer_distance(state, episode.goal) for state in states]) / CENTIMETRE,
+        "pd": np.array([nearest_distance(state, copies) for state in states]) / CENTIMETRE,
+        "cd": np.array([chamfer_distance(state, copies[0]) for state in states]) / CENTIMETRE,
     }
     quality = _quality(episode.end_distance, len(episode.steps), params.plan, episode.ending)
-    return Output(arrays, quality, tool_warnings(params.plan, tool_of(environment)))
+    return Output(arrays, quality, [*tool_warnings(params.plan, tool_of(environment)), *episode.said])
 
 
 def _quality(end: float, strokes: int, plan: PlanParams, ending: str) -> str:

@@ -70,6 +70,8 @@ class Call:
     """Whether the run keeps settings that worked."""
     describe: str = ""
     """`module:function` that tells what a run has, as `function(run)`; by default every unit is told in a line."""
+    refuses: str = ""
+    """`module:function` that says, as `function(run)`, what error ends the command though the run's only unit is kept."""
     counts: str = ""
     """A setting that counts what one unit has; then the command tells how many of it were made in a second."""
     instead: Instead | None = None

@@ -145,6 +145,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
     "clouds": {
         "points": Field("point,xyz", "m", "float32"),
         "offsets": Field("frame_edge", "1", "int64", ends="points"),
+        "mode": Field("frame", "0 push, 1 pick", "uint8", optional=True),
         **_HAND_PATH,
     },
     "tracks": {
@@ -185,6 +186,12 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "train_loss": Field("record", "the model's own", "float64"),
         "validation_loss": Field("record", "the model's own", "float64", nan=True),
         "static_loss": Field("", "the model's own", "float64", low=0, high=INF, optional=True),
+        "prior_simulator": Field("simulator", "text", TEXT, optional=True),
+    },
+    "prior": {
+        "weights/*": Field("*", "1", "float32"),
+        "step": Field("record", "1", "int64", low=1, high=INF),
+        "loss": Field("record", "1", "float64", low=0, high=INF),
     },
     "checkpoint": {"state/*": Field("*", "1", "*", nan=True)},
     "metrics": {
@@ -203,6 +210,7 @@ SCHEMAS: dict[str, dict[str, Field]] = {
         "metric": Field("episode", "text", TEXT),
         "episode": Field("step", "episode", "int64", index="episode"),
         **_STEPS,
+        "true_distance": Field("step", "m", "float64", low=0, optional=True),
         "path": Field("step,way_point,xyz", "m", "float32", nan=True),
         "path_time": Field("step,way_point", "s", "float64", nan=True),
         "path_closed": Field("step,way_point", "1", "bool"),

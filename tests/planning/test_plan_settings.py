@@ -54,6 +54,8 @@ CHANGES = {
 OF_MODELS = dict.fromkeys(PredictionParams.model_fields, 0.5) | {"iterations": 3, "tension_only": True}
 OF_THE_STAGE = {"state", "goal", "goal_pose", "goal_at", "episodes", "table", "frame", "cameras"}
 OF_THE_PATH = {"approach_height", "speed"}
+OF_CAMERAS = ("look", "accept", "keep", "sight")
+"""Of what the planner knows the object by: tests/planning/test_seeing.py."""
 OF_ERRORS = {"caution", "stop", "remember", "look_every"}
 """Of no effect on a model that is never wrong and not calibrated: `test_experience` has them."""
 BASES = {"temperature": MPPI, "noise": MPPI}
@@ -107,7 +109,7 @@ ORDER = [
 
 @pytest.mark.parametrize("field", [*CHANGES, *OF_MODELS])
 def test_every_setting_changes_what_it_is_a_setting_of_and_nothing_before(field):
-    assert {*CHANGES, *OF_MODELS, *OF_THE_STAGE, *OF_THE_PATH, *OF_ERRORS} == set(PlanParams.model_fields)
+    assert {*CHANGES, *OF_MODELS, *OF_THE_STAGE, *OF_THE_PATH, *OF_ERRORS, *OF_CAMERAS} == set(PlanParams.model_fields)
     value, first = CHANGES.get(field, (OF_MODELS.get(field), "model"))
     base = BASES.get(field, {})
     before, after = observed(**base), observed(**base | {field: value})

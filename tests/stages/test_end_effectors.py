@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.perception.clouds import while_closed
+from piegraph_cli.perception.clouds import grasped, while_closed
 from piegraph_cli.perception.params import FuseParams, HandsParams
 from piegraph_cli.recording.images import encode_masks, join_images
 from piegraph_cli.stages import end_effectors, fuse, hands
@@ -116,9 +116,20 @@ def test_fuse_takes_contact_from_the_opening():
     )
     opening = np.where((np.arange(FRAMES) > 3) & (np.arange(FRAMES) < 8), 0.01, 0.08)
     for arrays, expected in (({}, FRAMES), ({"opening": opening}, 4)):
-        tool = artifact({"end_effector": np.zeros((FRAMES, 3)), **arrays})
+        unseen = np.full((FRAMES, 1, 21, 2), np.nan)
+        tool = artifact({"end_effector": np.zeros((FRAMES, 3)), "landmarks": unseen, **arrays})
         out = fuse.run({"frames": seen, "masks": artifact(masks), "hands": tool}, FuseParams(), context())
         assert out.arrays["contact"].sum() == expected
+        assert out.arrays["mode"].sum() == (4 if arrays else 0), "it closes on the object"
+
+
+def test_a_gripper_that_was_closed_before_it_touched_pushes():
+    opening = np.array([8, 8, 1, 1, 1, 8, 8, 1, 1, 1, np.nan, 8]) / 100
+    touching = np.array([0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1], bool)
+    holds = while_closed(touching, opening)
+    assert np.flatnonzero(holds).tolist() == [3, 4, 7, 8, 9, 10]
+    assert np.flatnonzero(grasped(holds, opening)).tolist() == [7, 8, 9, 10]
+    assert not grasped(touching, np.full(12, 0.05)).any()
 
 
 def test_optional_datasets_may_be_absent_but_not_wrong():

@@ -1,0 +1,143 @@
+"""Random rigid things on a table and random pushes of them, moved by analytic quasi-static pushing alone.
+
+Outlines, sizes, particles, pressure, friction, pusher and strokes are drawn. Source of the motion: `rigid_kernel`.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, first_touch, turned
+from piegraph_cli.dynamics.family.outlines import KINDS, SIZE, along, filled, pieces, random_outline
+from piegraph_cli.dynamics.rigid_kernel import push
+from piegraph_cli.params import PUSH
+from piegraph_cli.physics.rigid import moved_in_plane
+from piegraph_cli.physics.springs import farthest_point_sample
+
+FRICTION = (0.25, 0.5)
+"""With the pusher: median, and deviation of its logarithm."""
+PRESSURE = (0.8, 0.15)
+"""Turning length as a share of the radius of gyration: median (that of even pressure), and deviation of its logarithm."""
+REACH = (0.007, 0.45)
+"""The pusher's radius [m]: median, and deviation of its logarithm."""
+OFF = 0.08
+"""Deviation of the centre of friction from the middle, as a share of the radius of gyration."""
+HIGH = 0.03
+"""Greatest height of the particles [m]."""
+LENGTH = (0.012, 0.15)
+"""Of strokes [m], from, to."""
+TOUCHING = 0.4
+"""Share of strokes that begin where they touch."""
+AWAY = 0.08
+"""Farthest that the others begin from there [m]."""
+SPACED = 0.7
+"""Share of blocks whose particles are as far apart as they can be; those of others lie at random."""
+STRIDE = 1e-3
+"""Metres of the pusher in a step of the integration."""
+RIM = 0.002
+"""Metres between points of an outline that a stroke is laid out by, at most."""
+_POINTS = 200
+"""Points of the inside that particles are chosen of, beside those of the outline."""
+
+SEEN = {
+    "outlines": list(KINDS),
+    "size [m], root of the area": SIZE,
+    "height of particles [m], up to": HIGH,
+    "friction with the pusher, median and deviation of its logarithm": FRICTION,
+    "turning length / radius of gyration, median and deviation of its logarithm": PRESSURE,
+    "pusher's radius [m], median and deviation of its logarithm": REACH,
+    "centre of friction from the middle, deviation as a share of the radius of gyration": OFF,
+    "length of strokes [m]": LENGTH,
+    "share of strokes that begin in contact": TOUCHING,
+}
+"""As it is written into a prior's file."""
+
+
+def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
+    """A block and strokes of it from one pose; a stroke may pass beside it."""
+    outline = random_outline(rng)
+    inner = filled(rng, outline, max(_POINTS, particles))
+    middle, gyration = inner.mean(0), math.sqrt(inner.var(0).sum())
+    drawn = np.clip(rng.normal(0, 1, 3), -2, 2)
+    friction, c, reach = (m * math.exp(s * t) for (m, s), t in zip((FRICTION, PRESSURE, REACH), drawn, strict=True))
+    numbers = [friction, c * gyration, reach, *(middle + rng.normal(0, OFF * gyration, 2))]
+    rim = along(outline, RIM)
+    start, end = _strokes(rng, rim, np.full(strokes, reach))
+    x = _particles(rng, inner, rim, particles)
+    x = np.concatenate([x, np.full((particles, 1), rng.uniform(0, HIGH))], 1)
+    edges = _tensor(np.concatenate([outline, np.roll(outline, -1, 0)], 1))
+    made = _pushed(edges, _tensor(numbers).repeat(strokes, 1), x, start, end)
+    return replace(made, traits=np.pad(drawn, (0, TRAITS - 3)))
+
+
+def simulated(
+    rng: np.random.Generator,
+    edges: torch.Tensor,
+    numbers: torch.Tensor,
+    spread: tuple[float, float, float],
+    particles: np.ndarray,
+    count: int,
+) -> Drawn:
+    """Random strokes [count] of a body with these particles [N, 3] (m); edges [E, 4] and numbers [5] as for `push`.
+
+    In each stroke the first three numbers are others: `spread` are deviations of their logarithms.
+    """
+    rows = numbers.repeat(count, 1)
+    rows[:, :3] *= _tensor(np.exp(rng.normal(0, 1, (count, 3)) * spread))
+    rim = pieces(edges.numpy().astype(float).reshape(-1, 2, 2), RIM)
+    start, end = _strokes(rng, rim, rows[:, 2].double().numpy())
+    return _pushed(edges, rows, particles, start, end)
+
+
+def _pushed(
+    edges: torch.Tensor, numbers: torch.Tensor, particles: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> Drawn:
+    """Particles [N, 3] (m) of a body under strokes [S], each with its own numbers [S, 5]."""
+    count = len(start)
+    ends = _tensor(np.concatenate([start, end], 1))
+    moved = push(edges, torch.zeros(count, 3), ends, numbers, STRIDE).numpy()
+    after = np.stack([moved_in_plane(particles[:, :2], motion) for motion in moved])
+    before = np.broadcast_to(particles, (count, *particles.shape))
+    return Drawn(
+        rest=particles,
+        before=before,
+        after=np.concatenate([after, before[..., 2:]], 2),
+        start=start,
+        end=end,
+        mode=np.full(count, PUSH),
+        held=np.zeros((count, 2), bool),
+        traits=np.zeros(TRAITS),
+    )
+
+
+def _tensor(array: np.ndarray | list[float]) -> torch.Tensor:
+    return torch.as_tensor(np.asarray(array, np.float32))
+
+
+def _particles(rng: np.random.Generator, inner: np.ndarray, rim: np.ndarray, count: int) -> np.ndarray:
+    """Particles [count, 2] (m) of a block: of its inside and outline, evenly or at random."""
+    if rng.random() >= SPACED:
+        return rng.permutation(inner)[:count]
+    points = rng.permutation(np.concatenate([inner, rim[:: int(rng.integers(2, 8))]]) if rng.random() < 0.7 else inner)
+    return points[farthest_point_sample(np.pad(points, ((0, 0), (0, 1))), count)]
+
+
+def _strokes(rng: np.random.Generator, rim: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends [S, 2] (m) of strokes from anywhere by pushers with these radii [S] (m).
+
+    Their lines touch the outline's points [P, 2] (m), or just miss them.
+    """
+    starts, ends = [], []
+    for radius in reach.tolist():
+        heading, length = rng.uniform(0, 2 * np.pi), between(rng, *LENGTH)
+        x, across = turned(rim, -heading).T
+        aside = rng.uniform(across.min() - 1.3 * radius, across.max() + 1.3 * radius)
+        touch = first_touch(rim, heading, aside, radius)
+        if not math.isfinite(touch):
+            touch = x.min() + rng.uniform(0, 0.05)
+        start = touch if rng.random() < TOUCHING else touch - rng.uniform(0, min(AWAY, length))
+        starts.append(turned(np.array([start, aside]), heading))
+        ends.append(turned(np.array([start + length, aside]), heading))
+    return np.array(starts), np.array(ends)

@@ -1,0 +1,108 @@
+"""Picks by hand: thumb and fingers that close on the object and lift a part of it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+THUMB, INDEX, MIDDLE, WRIST, KNUCKLE = 4, 8, 12, 0, 9
+"""MediaPipe's numbers of the fingertips, the wrist and the middle finger's knuckle."""
+
+HALF_CLOSED = 0.345
+"""Distance of thumb and fingertips over the palm's length that an open hand and a pinch are equally far from."""
+
+SPREAD = 0.07
+"""How far that ratio typically is from the one of its kind, in one frame."""
+
+SWITCH = 2.0
+"""What opening or closing must explain, in `SPREAD`s from `HALF_CLOSED`: a frame or two by themselves are errors."""
+
+RISES = 0.008
+"""Metres that what is under a pinching hand rises if the hand lifts it."""
+
+BENEATH = 0.03
+"""Metres from the hand, seen from above, within which it lies."""
+
+
+def openness(landmarks: np.ndarray) -> np.ndarray:
+    """How far thumb and fingertips are apart, in lengths of the palm: [F] of landmarks [F, C, 21, 2] (px); NaN: unseen.
+
+    The mean of index and middle finger, the median over cameras.
+    """
+    thumb = landmarks[:, :, THUMB, None]
+    apart = np.linalg.norm(landmarks[:, :, [INDEX, MIDDLE]] - thumb, axis=-1).mean(-1)
+    ratio = apart / np.linalg.norm(landmarks[:, :, WRIST] - landmarks[:, :, KNUCKLE], axis=-1)
+    seen = np.isfinite(ratio).any(1)
+    found = np.full(len(ratio), np.nan)
+    found[seen] = np.nanmedian(ratio[seen], axis=1)
+    return found
+
+
+def pinches(apart: np.ndarray) -> np.ndarray:
+    """Frames [F] bool in which the hand pinches, from its `openness` [F]: the likeliest course, of few changes.
+
+    Source: Viterbi (1967), two states.
+    """
+    evidence = np.where(np.isfinite(apart), ((HALF_CLOSED - apart) / SPREAD).clip(-2, 2), 0.0)
+    signed = np.array([-1.0, 1.0]) * evidence[:, None]
+    score, came = np.zeros(2), np.zeros((len(apart), 2), np.int64)
+    for f, gain in enumerate(signed):
+        changed = score[::-1] - SWITCH
+        came[f] = np.where(changed > score, [1, 0], [0, 1])
+        score = np.maximum(score, changed) + gain
+    course, state = np.zeros(len(apart), bool), int(score.argmax())
+    for f in range(len(apart) - 1, -1, -1):
+        course[f] = state
+        state = came[f, state]
+    return course
+
+
+def picks(
+    landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.ndarray], reach: float
+) -> np.ndarray:
+    """Frames [F] bool in which a hand holds the object between thumb and fingers.
+
+    It is open, closes within `reach` (m) of the object as seen from above, and lifts what is under it: a hand that pushes
+    with closed fingers does not. `landmarks` [F, C, 21, 2] (px), `end_effector` [F, 3] (m), `clouds` [P, 3] (m), z up.
+    """
+    from scipy.ndimage import label
+
+    closed = pinches(openness(landmarks))
+    runs, count = label(closed)
+    holds = np.zeros_like(closed)
+    for n in range(1, count + 1):
+        frames = np.flatnonzero(runs == n)
+        opened = frames[0] > 0 and np.isfinite(landmarks[frames[0] - 1]).any()
+        near = np.array([_gap(end_effector[f], clouds[f]) <= reach for f in frames])
+        if len(frames) < 2 or not opened or not near[0] or near.mean() <= 0.5:
+            continue
+        heights = np.array([_height(end_effector[f], clouds[f]) for f in frames])
+        if np.isfinite(heights).any() and np.nanmax(heights) - heights[np.isfinite(heights)][0] >= RISES:
+            holds[frames] = True
+    return holds
+
+
+def _gap(tip: np.ndarray, cloud: np.ndarray) -> float:
+    """How far (m) the hand [3] is from the cloud [P, 3] seen from above; infinite where there is none, NaN: no hand."""
+    return float(np.linalg.norm(cloud[:, :2] - tip[:2], axis=1).min(initial=np.inf))
+
+
+def _height(tip: np.ndarray, cloud: np.ndarray) -> float:
+    """How high (m) the cloud [P, 3] reaches under the hand [3]; NaN where there is none."""
+    under = np.linalg.norm(cloud[:, :2] - tip[:2], axis=1) <= BENEATH  # false where the hand is not known
+    return float(np.percentile(cloud[under, 2], 90)) if under.any() else np.nan
+
+
+def with_picks(touching: np.ndarray, holds: np.ndarray) -> np.ndarray:
+    """Frames [F] bool in which the object is handled: `touching` [F] as pushes are found, and picks `holds` [F].
+
+    What touches just before or after a pick is the open hand that comes for it or leaves it.
+    """
+    from scipy.ndimage import label
+
+    runs, count = label(touching | holds)
+    handled = touching.copy()
+    for n in range(1, count + 1):
+        run = runs == n
+        if holds[run].any():
+            handled[run] = holds[run]
+    return handled

@@ -1,0 +1,60 @@
+"""A picture of both faces of a sheet over its flat coordinates, filled while the sheet is known to lie as it does.
+
+It is what a state is compared with, so that small errors from image to image do not add up.
+"""
+
+import cv2
+import numpy as np
+
+from piegraph_cli.physics.sheet_images import Shot
+from piegraph_cli.physics.sheet_mesh import SheetMesh
+from piegraph_cli.physics.sheet_surface import Surface
+
+TEXEL = 0.002
+"""Metres."""
+BLUR = 0.8
+"""Deviation of the blur that fills what lies between pixels, texels."""
+LEAST = 0.15
+"""Weight of a texel that is known, a pixel at its middle having about 0.25."""
+NEAR = 0.012
+"""Metres between the surface and what is measured of it."""
+
+
+class Atlas:
+    """Grey values over two faces."""
+
+    def __init__(self, mesh: SheetMesh):
+        self.low = mesh.points[:, :2].min(0) - TEXEL
+        columns, rows = np.ceil((np.ptp(mesh.points[:, :2], axis=0)) / TEXEL).astype(int) + 3
+        self.flat = (mesh.points[:, :2] - self.low) / TEXEL
+        self.shades = np.full((2, rows, columns), np.nan, np.float32)
+
+    def _texels(self, surface: Surface) -> np.ndarray:
+        """Column and row [P, 2] of what pixels show."""
+        return np.einsum("pk,pkc->pc", surface.weights, self.flat[surface.corners])
+
+    def fill(self, surfaces: list[Surface], shots: list[Shot]) -> None:
+        """Put in what the images show where the atlas is empty."""
+        total, weight = np.zeros((2, *self.shades.shape), np.float32)
+        for surface, shot in zip(surfaces, shots, strict=True):
+            row, column = surface.pixels.T
+            off = np.abs(shot.depth[row, column] - surface.depth(shot.lens))
+            kept = shot.inner[row, column] & (off < NEAR)
+            texel = np.rint(self._texels(surface)[kept]).astype(int)
+            place = np.where(surface.front[kept], 0, 1), texel[:, 1], texel[:, 0]
+            np.add.at(total, place, shot.grey[row[kept], column[kept]].astype(np.float32))
+            np.add.at(weight, place, 1.0)
+        for face in range(2):
+            shade, known = (cv2.GaussianBlur(a[face], (0, 0), BLUR) for a in (total, weight))
+            fresh = (known > LEAST) & np.isnan(self.shades[face])
+            self.shades[face][fresh] = (shade / np.maximum(known, 1e-6))[fresh]
+
+    def drawn(self, surface: Surface) -> np.ndarray:
+        """The shade [P] of each pixel's place on the sheet, NaN where it is not known."""
+        column, row = self._texels(surface).astype(np.float32).T
+        shades = np.empty(len(row), np.float32)
+        for face, chosen in ((0, surface.front), (1, ~surface.front)):
+            if chosen.any():
+                at = column[chosen, None], row[chosen, None]
+                shades[chosen] = cv2.remap(self.shades[face], *at, cv2.INTER_LINEAR, borderValue=np.nan)[:, 0]
+        return shades

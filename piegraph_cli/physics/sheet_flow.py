@@ -1,0 +1,97 @@
+"""Where the pattern of a sheet goes from one image to the next: dense optical flow, and how far it is trusted.
+
+Flow counts where it leads back to where it began, where there is texture, and where depth is measured at both ends.
+"""
+
+import cv2
+import numpy as np
+
+from piegraph_cli.physics.sheet_images import Shot, crop, measured, textured
+from piegraph_cli.physics.sheet_surface import Sums, Surface
+
+RETURNS = 1.5
+"""Pixels from where it began within which flow there and back must end."""
+LONGEST, LONGEST_DRIFT = 0.12, 0.06
+"""Metres that anything moves in a frame, and that a state is off the pattern."""
+NEAR = 0.02
+"""Metres between the surface and what is measured of it: beyond, the pixel shows something else."""
+GREY = 90
+"""What is painted where there is nothing to compare."""
+MOST_GAIN = 3.0
+"""Contrast of a rendering may be raised by so much, to be that of the image."""
+FEWEST = 50
+"""Pixels of a rendering that are worth a look."""
+
+
+class Flow:
+    """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
+
+    def __init__(self) -> None:
+        self.search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+
+    def between(self, first: np.ndarray, second: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P]."""
+        one, two = np.ascontiguousarray(first), np.ascontiguousarray(second)
+        there, back = self.search.calc(one, two, None), self.search.calc(two, one, None)
+        step = there[pixels[:, 0], pixels[:, 1]]
+        at = pixels[:, ::-1].astype(np.float32) + step
+        returned = cv2.remap(back, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        sure = np.isfinite(at).all(1) & (np.linalg.norm(step + returned[:, 0], axis=1) < RETURNS)
+        return np.where(sure[:, None], at, 0.0)[:, ::-1].astype(np.float32), sure
+
+    def onwards(self, surface: Surface, before: Shot, now: Shot, sums: Sums) -> None:
+        """Add how far the pattern moved between two images; `surface` is what the first shows."""
+        cut = crop(before, now)
+        if cut is None:
+            return
+        at = surface.pixels
+        old, known = measured(before, at)
+        known &= before.textured[at[:, 0], at[:, 1]]
+        known &= ((old - surface.points) ** 2).sum(1) < NEAR**2
+        self._follow(surface, np.flatnonzero(known), (before.grey[cut], now.grey[cut], cut), old, now, LONGEST, sums)
+
+    def against(self, surface: Surface, shades: np.ndarray, now: Shot, sums: Sums) -> None:
+        """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known)."""
+        cut = crop(now, now)
+        known = np.isfinite(shades)
+        if cut is None or known.sum() < FEWEST:
+            return
+        row, column = surface.pixels.T
+        common = known & (now.mask[row, column] > 0)
+        if common.sum() < FEWEST:
+            return
+        real, drawn = now.grey[row[common], column[common]].astype(np.float32), shades[common]
+        gain = min(MOST_GAIN, float(real.std() / max(drawn.std(), 1e-3)))
+        image = np.full(now.grey.shape, GREY, np.uint8)
+        matched = (shades[known] - drawn.mean()) * gain + real.mean()
+        image[row[known], column[known]] = np.rint(matched).clip(0, 255).astype(np.uint8)
+        covered = np.zeros(now.mask.shape, np.uint8)
+        covered[row[known], column[known]] = 1
+        photo = np.where((now.mask > 0) | (covered > 0), now.grey, np.uint8(GREY))
+        known &= textured(image, covered)[row, column]
+        images = image[cut], photo[cut], cut
+        self._follow(surface, np.flatnonzero(known), images, surface.points, now, LONGEST_DRIFT, sums)
+
+    def _follow(
+        self,
+        surface: Surface,
+        chosen: np.ndarray,
+        images: tuple[np.ndarray, np.ndarray, tuple[slice, slice]],
+        start: np.ndarray,
+        now: Shot,
+        longest: float,
+        sums: Sums,
+    ) -> None:
+        """Add the ways of the `chosen` pixels from `start` [P, 3] (m) to what is measured where flow takes them."""
+        first, second, cut = images
+        corner = np.array([cut[0].start, cut[1].start])
+        at = surface.pixels[chosen] - corner
+        inside = (at >= 0).all(1) & (at < first.shape).all(1)
+        chosen, at = chosen[inside], at[inside]
+        if len(chosen) < FEWEST:
+            return
+        to, sure = self.between(first, second, at)
+        end, seen = measured(now, to + corner.astype(np.float32))
+        way = end - start[chosen]
+        kept = sure & seen & ((way**2).sum(1) < longest**2)
+        sums.add(surface.corners[chosen[kept]], surface.weights[chosen[kept]], way[kept])

@@ -1,0 +1,142 @@
+"""Pictures as the tracker of a sheet reads them: where each pixel looks, what it measures, and where there is texture."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from piegraph_cli.recording.camera import Camera
+
+EDGE, RIM = 1, 5
+"""Pixels beside the mask's border that depth, and texture, leave out."""
+BLUR, WINDOW = 1.0, 11
+"""Deviation (px) of the blur before slopes are taken, and the side (px) of what texture is a mean over."""
+LEAST = 10
+"""Pixels inside the rim that texture is a mean over, at least: beside the border it is that of what lies within."""
+TEXTURED = 1.0
+"""Grey levels a pixel by which the image must change along its weakest direction, for flow to be more than noise."""
+AROUND = 22
+"""Pixels around the masks that flow is told about."""
+FEWEST = 48
+"""Pixels that a crop is wide and high at least: flow is looked for in pyramids."""
+
+
+class Lens:
+    """A camera's pixels as rays in the world."""
+
+    def __init__(self, camera: Camera):
+        self.camera, self.origin = camera, camera.T_world_camera[:3, 3].astype(np.float32)
+        column, row = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        rays = camera.rays(np.column_stack([column.ravel(), row.ravel()])) @ camera.T_world_camera[:3, :3].T
+        self.rays = rays.astype(np.float32).reshape(camera.height, camera.width, 3)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Column, row and depth (m) [N, 3] float32 of points [N, 3] (m)."""
+        pixels, depth = self.camera.project(points)
+        return np.column_stack([pixels, depth]).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What one camera took in one frame."""
+
+    lens: Lens
+    grey: np.ndarray
+    """[H, W] uint8."""
+    depth: np.ndarray
+    """[H, W] float32, metres, 0 for no reading."""
+    mask: np.ndarray
+    """[H, W] uint8, 1 on the object."""
+
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """[H, W] bool: the object, but for its border, where there is depth."""
+        return (_eroded(self.mask, EDGE) > 0) & (self.depth > 0)
+
+    @cached_property
+    def textured(self) -> np.ndarray:
+        """[H, W] bool: pixels of the object around which its image has texture."""
+        return textured(self.grey, self.mask)
+
+    @cached_property
+    def box(self) -> tuple[int, int, int, int] | None:
+        """First and last row and column (these left out) of the mask, None where there is none."""
+        return box_of(self.mask)
+
+
+def box_of(mask: np.ndarray) -> tuple[int, int, int, int] | None:
+    """First and last row and column (these left out) of what is not zero in an image [H, W]."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if len(rows) == 0:
+        return None
+    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+
+
+def textured(grey: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Pixels [H, W] bool inside a mask [H, W] (uint8, 1) around which an image [H, W] changes whichever way one goes.
+
+    The smaller eigenvalue of the structure tensor. Source: Shi and Tomasi (1994).
+    """
+    found = np.zeros(grey.shape, bool)
+    box = box_of(mask)
+    if box is None:
+        return found
+    cut = _wider(box, RIM, grey.shape)
+    inside = _eroded(mask[cut], RIM).astype(np.float32)
+    smooth = cv2.GaussianBlur(grey[cut].astype(np.float32), (0, 0), BLUR)
+    right, down = (cv2.Sobel(smooth, cv2.CV_32F, *d, ksize=3, scale=1 / 8) for d in ((1, 0), (0, 1)))
+    count = _summed(inside)
+    xx, yy, xy = (_summed(inside * a) / np.maximum(count, 1.0) for a in (right * right, down * down, right * down))
+    smaller = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
+    found[cut] = (smaller > TEXTURED**2) & (count > LEAST) & (mask[cut] > 0)
+    return found
+
+
+def crop(first: Shot, second: Shot) -> tuple[slice, slice] | None:
+    """The part of both images around the object; None where one of them does not show it."""
+    if first.box is None or second.box is None:
+        return None
+    pairs = list(zip(first.box, second.box, strict=True))
+    joined = min(pairs[0]), max(pairs[1]), min(pairs[2]), max(pairs[3])
+    return _wider(joined, AROUND, first.grey.shape)
+
+
+def measured(shot: Shot, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P, 3] (m) that a camera measures at pixels [P, 2] (row, column; between pixels too), and where it does [P].
+
+    The ray is that of the place, the depth that of the nearest pixel: between two of them a surface may end.
+    """
+    near = np.rint(at).astype(np.int32)
+    height, width = shot.grey.shape
+    valid = (near >= 0).all(1) & (near[:, 0] < height) & (near[:, 1] < width)
+    row, column = near.T.clip(0, [[height - 1], [width - 1]])
+    valid &= shot.inner[row, column]
+    rays = shot.lens.rays[row, column]
+    if at.dtype.kind == "f":
+        rest = (at - near).astype(np.float32)
+        below, beside = np.minimum(row + 1, height - 1), np.minimum(column + 1, width - 1)
+        rays = rays + rest[:, :1] * (shot.lens.rays[below, column] - shot.lens.rays[row, column])
+        rays += rest[:, 1:] * (shot.lens.rays[row, beside] - shot.lens.rays[row, column])
+    return shot.lens.origin + rays * shot.depth[row, column, None], valid
+
+
+def _eroded(mask: np.ndarray, pixels: int) -> np.ndarray:
+    return cv2.erode(mask, np.ones((2 * pixels + 1,) * 2, np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    return cv2.boxFilter(values, cv2.CV_32F, (WINDOW, WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT)
+
+
+def _wider(box: tuple[int, int, int, int], by: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The box and `by` pixels around it, at least `FEWEST` a side, inside an image of that shape."""
+    spans = []
+    for first, last, end in zip(box[::2], box[1::2], shape, strict=True):
+        more = max(by, (FEWEST - (last - first) + 1) // 2)
+        spans.append(slice(max(0, first - more), min(end, last + more)))
+    return spans[0], spans[1]
+
+
+Pictures = Callable[[int], "list[Shot]"]

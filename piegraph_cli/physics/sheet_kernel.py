@@ -1,0 +1,210 @@
+"""What a sheet's tracker does most often, as kernels: the constraints of its cloth in turn, and which of it a pixel shows.
+
+One thread each: the constraints are solved one after the other, each with what those before it left. Only a CPU runs them.
+"""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from piegraph_cli.kernels.lanes import start_warp
+from piegraph_cli.physics.sheet_mesh import SheetMesh
+
+GRAVITY = 9.81
+FRICTION = 0.6
+KEPT = 0.95
+"""Share of the velocity that is left after a step."""
+FASTEST = 0.8
+"""Metres a second; what is pulled out of a false place by its constraints is faster."""
+CALM, CALMED = 2, 0.3
+"""In how many first steps of a frame what share of the velocity is left: corrections from images left constraints broken."""
+STEP = 0.01
+"""Seconds."""
+SWEEPS = 12
+ROUNDS, AFTER = 20, 5
+"""Of a correction: sweeps with data, and without."""
+
+KERNEL: dict[str, Any] = {"module": "unique", "enable_backward": False}
+TINY = wp.constant(1e-9)
+
+
+@wp.struct
+class Constraints:
+    """What holds a sheet together, in the order in which it is solved."""
+
+    pairs: wp.array2d(dtype=wp.int32)
+    """[C, 2]."""
+    rest: wp.array(dtype=wp.float32)
+    """[C] metres."""
+    pulls: wp.array(dtype=wp.float32)
+    """[C] share of the error that is taken away where a pair is too far apart."""
+    pushes: wp.array(dtype=wp.float32)
+    """[C] the same where it is too near."""
+
+
+@wp.func
+def solve(x: wp.array(dtype=wp.vec3), free: wp.array(dtype=wp.float32), c: Constraints):
+    for k in range(c.rest.shape[0]):
+        i = c.pairs[k, 0]
+        j = c.pairs[k, 1]
+        total = free[i] + free[j]
+        if total > 0.0:
+            way = x[j] - x[i]
+            length = wp.length(way)
+            error = length - c.rest[k]
+            share = c.pulls[k]
+            if error < 0.0:
+                share = c.pushes[k]
+            move = way * (share * error / (total * wp.max(length, TINY)))
+            x[i] = x[i] + free[i] * move
+            x[j] = x[j] - free[j] * move
+
+
+@wp.func
+def lie_on_table(x: wp.array(dtype=wp.vec3), since: wp.array(dtype=wp.vec3), half: float, friction: float):
+    """Nothing gets below the table; what presses on it slides less."""
+    for i in range(x.shape[0]):
+        p = x[i]
+        below = half - p[2]
+        if below > 0.0:
+            slid = wp.vec3(p[0] - since[i][0], p[1] - since[i][1], 0.0)
+            kept = wp.min(1.0, friction * below / wp.max(wp.length(slid), TINY))
+            x[i] = wp.vec3(p[0] - kept * slid[0], p[1] - kept * slid[1], half)
+
+
+@wp.kernel(**KERNEL)
+def fall(
+    x: wp.array(dtype=wp.vec3),
+    before: wp.array(dtype=wp.vec3),
+    velocity: wp.array(dtype=wp.vec3),
+    free: wp.array(dtype=wp.float32),
+    carried: wp.array(dtype=wp.vec3),
+    c: Constraints,
+    half: float,
+    friction: float,
+    steps: int,
+    step: float,
+):
+    """Let time pass; what is held, free 0, is carried on by an equal part of the way at every step."""
+    for s in range(steps):
+        for i in range(x.shape[0]):
+            before[i] = x[i]
+            if free[i] > 0.0:
+                velocity[i] = velocity[i] - wp.vec3(0.0, 0.0, GRAVITY * step)
+                x[i] = x[i] + velocity[i] * step
+            else:
+                x[i] = x[i] + carried[i] / float(steps)
+        for _sweep in range(SWEEPS):
+            solve(x, free, c)
+            lie_on_table(x, before, half, friction)
+        kept = KEPT
+        if s < CALM:
+            kept = CALMED
+        for i in range(x.shape[0]):
+            v = (x[i] - before[i]) * (kept / step)
+            velocity[i] = v * wp.min(1.0, FASTEST / wp.max(wp.length(v), TINY))
+
+
+@wp.kernel(**KERNEL)
+def correct(
+    x: wp.array(dtype=wp.vec3),
+    target: wp.array(dtype=wp.vec3),
+    gain: wp.array(dtype=wp.float32),
+    free: wp.array(dtype=wp.float32),
+    c: Constraints,
+    half: float,
+):
+    """Draw to targets and keep the cloth together, in turn."""
+    for r in range(ROUNDS + AFTER):
+        if r < ROUNDS:
+            for i in range(x.shape[0]):
+                x[i] = x[i] + gain[i] * free[i] * (target[i] - x[i])
+        solve(x, free, c)
+        for i in range(x.shape[0]):
+            if x[i][2] < half:
+                x[i] = wp.vec3(x[i][0], x[i][1], half)
+
+
+@wp.kernel(**KERNEL)
+def raster(
+    pixels: wp.array(dtype=wp.vec3),
+    triangles: wp.array2d(dtype=wp.int32),
+    owner: wp.array2d(dtype=wp.int32),
+    depth: wp.array2d(dtype=wp.float32),
+    weights: wp.array2d(dtype=wp.vec3),
+):
+    """The nearest triangle at every pixel, from corners (column, row, depth in m); weights are those of its corners."""
+    height = owner.shape[0]
+    width = owner.shape[1]
+    for t in range(triangles.shape[0]):
+        a = pixels[triangles[t, 0]]
+        b = pixels[triangles[t, 1]]
+        c = pixels[triangles[t, 2]]
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+        if wp.abs(area) > 1e-6 and wp.min(a[2], wp.min(b[2], c[2])) > 0.05:
+            left = wp.max(0, int(wp.ceil(wp.min(a[0], wp.min(b[0], c[0])))))
+            right = wp.min(width - 1, int(wp.floor(wp.max(a[0], wp.max(b[0], c[0])))))
+            top = wp.max(0, int(wp.ceil(wp.min(a[1], wp.min(b[1], c[1])))))
+            bottom = wp.min(height - 1, int(wp.floor(wp.max(a[1], wp.max(b[1], c[1])))))
+            for row in range(top, bottom + 1):
+                for column in range(left, right + 1):
+                    u = float(column)
+                    v = float(row)
+                    wa = ((b[0] - u) * (c[1] - v) - (c[0] - u) * (b[1] - v)) / area
+                    wb = ((c[0] - u) * (a[1] - v) - (a[0] - u) * (c[1] - v)) / area
+                    wc = 1.0 - wa - wb
+                    if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
+                        inverse = wa / a[2] + wb / b[2] + wc / c[2]
+                        z = 1.0 / inverse
+                        if owner[row, column] < 0 or z < depth[row, column]:
+                            owner[row, column] = t
+                            depth[row, column] = z
+                            weights[row, column] = wp.vec3(wa / a[2], wb / b[2], wc / c[2]) * z
+
+
+class Cloth:
+    """A sheet's kernels with their memory; positions are those of the middle of the sheet, float32 [N, 3] (m)."""
+
+    def __init__(self, mesh: SheetMesh):
+        start_warp()
+        self.mesh = mesh
+        self.constraints = Constraints()
+        self.constraints.pairs = wp.array(mesh.pairs, dtype=wp.int32, device="cpu")
+        for name in ("rest", "pulls", "pushes"):
+            setattr(self.constraints, name, wp.array(getattr(mesh, name), dtype=wp.float32, device="cpu"))
+        self.triangles = wp.array(mesh.triangles, dtype=wp.int32, device="cpu")
+
+    def fallen(
+        self, x: np.ndarray, velocity: np.ndarray, free: np.ndarray, carried: np.ndarray, seconds: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities (m/s) after some time; what is not free [N] (1 or 0) is carried by [N, 3] (m)."""
+        steps = max(1, round(seconds / STEP))
+        state, speed = _vectors(x), _vectors(velocity)
+        memory = [state, wp.zeros_like(state), speed, _numbers(free), _vectors(carried), self.constraints]
+        wp.launch(fall, 1, [*memory, self.mesh.half, FRICTION, steps, STEP], device="cpu")
+        return state.numpy(), speed.numpy()
+
+    def corrected(self, x: np.ndarray, target: np.ndarray, gain: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Positions drawn to a target [N, 3] (m) with a gain [N] (0..1)."""
+        state = _vectors(x)
+        given = [state, _vectors(target), _numbers(gain), _numbers(free), self.constraints, self.mesh.half]
+        wp.launch(correct, 1, given, device="cpu")
+        return state.numpy()
+
+    def seen(self, pixels: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Triangle (or -1), depth (m) and corner weights [.., 3] at each pixel of an image, from pixels and depth [N, 3]."""
+        owner = wp.full((height, width), -1, dtype=wp.int32, device="cpu")
+        depth = wp.zeros((height, width), dtype=wp.float32, device="cpu")
+        weights = wp.zeros((height, width), dtype=wp.vec3, device="cpu")
+        wp.launch(raster, 1, [_vectors(pixels), self.triangles, owner, depth, weights], device="cpu")
+        return owner.numpy(), depth.numpy(), weights.numpy()
+
+
+def _vectors(values: np.ndarray) -> wp.array:
+    """A copy as vectors of Warp."""
+    return wp.array(np.array(values, np.float32), dtype=wp.vec3, device="cpu")
+
+
+def _numbers(values: np.ndarray) -> wp.array:
+    return wp.array(np.array(values, np.float32), dtype=wp.float32, device="cpu")

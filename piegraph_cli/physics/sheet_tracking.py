@@ -1,0 +1,85 @@
+"""A recording of a sheet, frame by frame: pictures in, and what `tracking` tells of every frame."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from piegraph_cli.physics.follower import FEWEST_POINTS, Found
+from piegraph_cli.physics.params import TrackParams
+from piegraph_cli.physics.sheet import Hand, SheetFollower, State
+from piegraph_cli.physics.sheet_images import Lens, Shot
+from piegraph_cli.physics.sheet_mesh import is_sheet, sheet_mesh
+from piegraph_cli.physics.visibility import View
+
+LOST = 0.03
+"""Metres of misfit beyond the first frame's, from which the sheet is not where it was looked for."""
+SEEN = 1.0
+"""Pixels that show a node, by their weights, from which it is seen."""
+THINNED = 800
+"""Points of a cloud that are compared with the nodes."""
+
+
+def taken_for_sheet(cloud: np.ndarray, views: Sequence[View], params: TrackParams) -> bool:
+    """Whether an object is followed as a sheet: its first cloud [P, 3] (m) is one, and there are colour images of it."""
+    if params.object == "solid" or not views or any(view.image is None for view in views):
+        return False
+    return params.object == "sheet" or (params.association == "soft" and is_sheet(cloud))
+
+
+def follow_sheet(
+    clouds: Sequence[np.ndarray],
+    views: Sequence[Sequence[View]],
+    time: np.ndarray,
+    hand: Hand | None,
+    particles: int,
+    progress: Callable[[Sequence[np.ndarray]], Iterable[np.ndarray]],
+) -> list[Found]:
+    """Every frame of a sheet whose clouds are [P, 3] (m) at `time` [F] (s), of `particles` or more of its points.
+
+    Raises `DataError` for a first cloud that is no surface.
+    """
+    mesh, lenses = sheet_mesh(clouds[0], particles), [Lens(view.camera) for view in views[0]]
+    follower = SheetFollower(mesh, _shots(views[0], lenses), time, hand)
+    first = _seen(follower.state)
+    usual, found = 0.0, []
+    for frame, cloud in enumerate(progress(clouds)):
+        unseen = len(cloud) < FEWEST_POINTS
+        if frame > 0:
+            follower.skip(frame) if unseen else follower.follow(frame, _shots(views[frame], lenses))
+        positions = mesh.particles(follower.state.x).astype(np.float32)
+        seen = np.zeros(len(positions)) if unseen else _seen(follower.state)
+        near, misfit = (0.0, 0.0) if unseen else _distances(positions, seen >= SEEN, cloud)
+        usual = misfit if frame == 0 else usual
+        weight = np.where(seen < SEEN, 0.0, (seen / np.maximum(first, SEEN)).clip(max=1)).astype(np.float32)
+        found.append(Found(positions, near, weight, misfit, unseen, misfit > usual + LOST))
+    return found
+
+
+def _shots(views: Sequence[View], lenses: list[Lens]) -> list[Shot]:
+    """What the cameras took, as the follower reads it."""
+    shots = []
+    for view, lens in zip(views, lenses, strict=True):
+        assert view.image is not None
+        grey = cv2.cvtColor(view.image(), cv2.COLOR_RGB2GRAY)
+        depth = view.depth.astype(np.float32) * np.float32(view.camera.depth_scale)
+        shots.append(Shot(lens, grey, depth, view.mask.astype(np.uint8)))
+    return shots
+
+
+def _seen(state: State) -> np.ndarray:
+    """Pixels [N] of all cameras that show each node."""
+    total = np.zeros(len(state.x))
+    for surface in state.surfaces:
+        total += np.bincount(surface.corners.ravel(), surface.weights.ravel(), len(total))
+    return total
+
+
+def _distances(positions: np.ndarray, seen: np.ndarray, cloud: np.ndarray) -> tuple[float, float]:
+    """Metres from seen points to a cloud, and the mean of that and of the way back from the cloud to all of them."""
+    if not seen.any():
+        return 0.0, 0.0
+    there = float(cKDTree(cloud).query(positions[seen])[0].mean())
+    some = cloud[:: max(1, len(cloud) // THINNED)]
+    return there, (there + float(cKDTree(positions).query(some)[0].mean())) / 2

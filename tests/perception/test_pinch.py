@@ -1,0 +1,87 @@
+"""Picks by hand, told from pushes: what thumb and fingers do, where, and what becomes of the object."""
+
+import numpy as np
+import pytest
+
+from piegraph_cli.perception.pinch import openness, picks, pinches, with_picks
+
+OPEN, CLOSED = 0.6, 0.15
+SHEET = np.stack([*np.meshgrid(np.linspace(-0.1, 0.1, 21), np.linspace(-0.1, 0.1, 21)), np.zeros((21, 21))], -1)
+SHEET = SHEET.reshape(-1, 3)
+
+
+def hand(apart: list[float], cameras: int = 2) -> np.ndarray:
+    """Landmarks [F, C, 21, 2] (px) of a palm of 100 px whose thumb is so far from index and middle fingertip; NaN: unseen."""
+    landmarks = np.full((len(apart), cameras, 21, 2), np.nan)
+    for f, share in enumerate(apart):
+        if np.isfinite(share):
+            landmarks[f] = 0.0
+            landmarks[f, :, 9] = [0, 100]
+            landmarks[f, :, [8, 12]] = [100 * share, 0]
+    return landmarks
+
+
+def lifted(height: float) -> np.ndarray:
+    """The sheet with its middle so high (m)."""
+    raised = SHEET.copy()
+    raised[:, 2] = height * np.exp(-np.linalg.norm(SHEET[:, :2], axis=1) / 0.05)
+    return raised
+
+
+def test_openness_is_that_of_the_median_camera_whatever_the_size():
+    landmarks = hand([0.2, 0.5, np.nan], cameras=3)
+    landmarks[0, 0] *= 7.0
+    landmarks[1, 2, [8, 12]] = [3.0, 0.0]
+    np.testing.assert_allclose(openness(landmarks), [0.2, 0.5, np.nan])
+
+
+def test_a_frame_or_two_that_are_read_wrong_neither_open_nor_close_a_hand():
+    truth = [False] * 6 + [True] * 7 + [False] * 6
+    apart = np.where(truth, CLOSED, OPEN)
+    apart[[2, 9]] = [0.30, 0.40]
+    apart[11] = np.nan
+    assert pinches(apart).tolist() == truth
+
+
+@pytest.mark.parametrize("noise", range(5))
+def test_pinches_of_a_noisy_hand(noise):
+    truth = np.array([False] * 8 + [True] * 8 + [False] * 8 + [True] * 6 + [False] * 4)
+    apart = np.where(truth, 0.22, 0.50) + np.random.default_rng(noise).normal(0, 0.06, len(truth))
+    assert (pinches(apart) == truth).mean() > 0.95
+
+
+FRAMES = 12
+ACTS = [OPEN] * 4 + [CLOSED] * 5 + [OPEN] * 3
+RISING = [0.0, 0, 0, 0, 0, 0.02, 0.04, 0.04, 0.01, 0, 0, 0]
+AT_SHEET = np.tile([0.0, 0.0, 0.02], (FRAMES, 1))
+
+
+def test_a_pick_is_a_hand_that_closes_on_the_object_and_lifts_it():
+    found = picks(hand(ACTS), AT_SHEET, [lifted(h) for h in RISING], 0.06)
+    assert np.flatnonzero(found).tolist() == [4, 5, 6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("apart", "tips", "heights"),
+    [
+        (ACTS, AT_SHEET, [0.0] * FRAMES),
+        ([CLOSED] * FRAMES, AT_SHEET, RISING),
+        (ACTS, AT_SHEET + [0.3, 0, 0], RISING),
+        ([np.nan] * FRAMES, AT_SHEET, RISING),
+    ],
+    ids=["nothing rises", "closed all the time", "away from the object", "never seen"],
+)
+def test_what_is_no_pick(apart, tips, heights):
+    assert not picks(hand(apart), tips, [lifted(h) for h in heights], 0.06).any()
+
+
+def test_an_empty_cloud_and_an_unknown_hand_neither_make_nor_break_a_pick():
+    clouds, tips = [lifted(h) for h in RISING], AT_SHEET.copy()
+    clouds[6], tips[7] = np.zeros((0, 3)), np.nan
+    assert np.flatnonzero(picks(hand(ACTS), tips, clouds, 0.06)).tolist() == [4, 5, 6, 7, 8]
+
+
+def test_the_open_hand_that_comes_for_a_pick_does_not_handle_and_pushes_stay():
+    touching = np.array([0, 1, 1, 0, 0, 1, 1, 1, 0, 1], bool)
+    holds = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 0], bool)
+    assert with_picks(touching, holds).astype(int).tolist() == [0, 1, 1, 0, 0, 0, 1, 1, 1, 0]

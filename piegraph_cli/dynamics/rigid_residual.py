@@ -120,7 +120,9 @@ def _pose_after(poses: Tensor, before: Tensor, after: Tensor) -> Tensor:
 
 def _alike(features: Tensor, others: Tensor, lengths: Tensor) -> Tensor:
     """How alike strokes [A, 7] and others [B, 7] are, 0 to 1 [A, B]."""
-    scaled = [torch.cat([x[:, g] / length for g, length in zip(_GROUPS, lengths, strict=True)], 1) for x in (features, others)]
+    scaled = [
+        torch.cat([x[:, g] / length for g, length in zip(_GROUPS, lengths, strict=True)], 1) for x in (features, others)
+    ]
     return (-0.5 * (scaled[0][:, None] - scaled[1][None]).square().sum(-1)).exp()
 
 
@@ -141,6 +143,6 @@ def _most_likely(features: Tensor, gate: Tensor, left: Tensor) -> np.ndarray:
         likely = 0.5 * whitened.square().sum() + 3 * factor.diagonal().log().sum()
         return float(likely) + 0.5 * float((((numbers - _MIDDLE) / _SPREAD) ** 2).sum())
 
-    starts = [_MIDDLE + [k, k, k, 0, 0] for k in (-1.0, 0.0, 0.7)]
+    starts = [_MIDDLE + np.array([k, k, k, 0, 0]) for k in (-1.0, 0.0, 0.7)]
     found = [minimize(cost, start, method="L-BFGS-B", bounds=_BOUNDS) for start in starts]
     return min(found, key=lambda one: one.fun).x

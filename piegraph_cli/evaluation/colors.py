@@ -23,6 +23,7 @@ MODELS = {
     "pgnd": "#b26d00",
     "gbnd": "#af0a74",
     "rigid": "#40ac69",
+    "rigid-gp": "#0e8f8a",
     "static": "#7c848f",
     "greedy": "#356286",
 }

@@ -17,7 +17,10 @@ HEIGHT = 0.01
 """Metres above the table of what was measured in the plane."""
 NEEDED = "before and after [S, N, 2 or 3], start and end [S, 2 or 3], metres"
 OUTLINE = "outline"
-"""Array of corners [K, 2] (m) that a file may have, and the variant of `rigid` that is given it."""
+"""Array of corners [K, 2] (m) that a file may have, and the variant of rigid bodies that is given it."""
+
+RIGID = ("rigid", "rigid-gp")
+"""Models that take an outline."""
 
 
 def write_strokes(file: Path | None, folder: Path) -> None:
@@ -56,13 +59,13 @@ def write_strokes(file: Path | None, folder: Path) -> None:
 
 
 def with_outline(params: ExperimentParams, folder: Path) -> ExperimentParams:
-    """The experiment with `rigid:outline`, a row beside `rigid`, where strokes in `folder` have an outline beside them."""
+    """The experiment with rows of rigid bodies that are given the outline, where strokes in `folder` have one beside them."""
     file = _outline_beside(folder)
-    if "rigid" not in params.models or not file.is_file():
+    labels = {name: f"{name}:{OUTLINE}" for name in params.models if name in RIGID}
+    if not labels or not file.is_file():
         return params
-    label = f"rigid:{OUTLINE}"
-    models = [name for model in params.models for name in ((model, label) if model == "rigid" else (model,))]
-    variants = params.variants | {label: {"outline": os.path.realpath(file)}}
+    models = [name for model in params.models for name in (model, labels.get(model, model))]
+    variants = params.variants | {label: {"outline": os.path.realpath(file)} for label in labels.values()}
     return params.model_copy(update={"models": tuple(dict.fromkeys(models)), "variants": variants})
 
 

@@ -40,6 +40,8 @@ def each(
 
 def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: bool = False) -> Iterator[Result]:
     """What tasks give, worked on by so many processes of this machine, which end with this one, however it ends."""
+    from multiprocessing import resource_tracker
+
     import joblib
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.backend.resource_tracker import ensure_running
@@ -51,7 +53,8 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
     parallel = joblib.Parallel(n_jobs=jobs, return_as="generator" if in_order else "generator_unordered")
     try:
         if jobs > 1:
-            ensure_running()  # it would let the signals through when it starts
+            ensure_running()
+            resource_tracker.ensure_running()  # where these start they let the signals through
         with held_back():
             found = parallel(joblib.delayed(_watched)(task, os.getpid()) for task in tasks)
         yield from found

@@ -105,7 +105,7 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
     written = f"{stage.writes}.h5"
     if out is not None:
         _check_out(out, stage)
-    own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json"}
+    own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json", "checkpoints"}
     with tempfile.TemporaryDirectory(prefix="piegraph-") as made:
         folder = Path(made)
         for entry in run.folder.resolve().iterdir():

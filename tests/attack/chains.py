@@ -52,7 +52,19 @@ def recorded(folder: Path) -> None:
 
 SIMULATED = Chain("simulated", ("run", "recipe.toml", "--run", "run"), simulated)
 OF_RECORDING = Chain("recorded", ("run", "recipe.toml", "--run", "run", "--until", "score"), recorded)
-TRIALS = ("trials", "--run", "all/paper", "--envs", "tblock", "--models", "piegraph,static", "--goals", "1", "--seeds", "3")
+TRIALS = (
+    "trials",
+    "--run",
+    "all/paper",
+    "--envs",
+    "tblock",
+    "--models",
+    "piegraph,static",
+    "--goals",
+    "1",
+    "--seeds",
+    "3",
+)
 
 
 def trials_of(run: Path) -> Chain:

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from piegraph_cli import signals
 from tests.attack.chains import OF_RECORDING, SIMULATED, Chain, artifacts, broken, different, trials_of
 from tests.cli import PROGRAM
 from tests.forks import become, import_all
@@ -57,10 +58,12 @@ class Command:
                 self.pid, process.returncode = process.pid, 0  # waited for here
         elif self.pid == 0:
             os.setsid()
+            signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)
             become({"arguments": list(arguments), "folder": str(folder), "environment": environment, **files})
-            from piegraph_cli.__main__ import main
+            from piegraph_cli import __main__
 
-            main()
+            __main__.obey = begin
+            __main__.main()
 
     def ended(self, seconds: float) -> int | None:
         """The exit code, or None where it has not ended in time."""
@@ -116,7 +119,7 @@ def early(command: Command, code: int | None, text: str) -> bool:
     """Whether Python itself was stopped, before a line of piegraph ran."""
     silent = not (command.folder / "run" / "run.log").exists() and "interrupted" not in text and "ended by" not in text
     of_python = code in (-signal.SIGTERM, -signal.SIGINT) or (code == 1 and any(word in text for word in BOOTING))
-    return command.own and silent and of_python and 'piegraph_cli/commands' not in text
+    return command.own and silent and of_python and "piegraph_cli/commands" not in text
 
 
 def fresh(folder: Path, chain: Chain) -> Path:
@@ -125,6 +128,12 @@ def fresh(folder: Path, chain: Chain) -> Path:
     folder.mkdir(parents=True)
     chain.prepare(folder)
     return folder
+
+
+def begin() -> None:
+    """What a forked program does first: only from then on signals reach it, as those that come before reach Python alone."""
+    signals.obey()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
 
 
 class Campaign:

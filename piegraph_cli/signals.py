@@ -41,6 +41,7 @@ def over() -> None:
     """Say that the program is done but for its end, which no exception is to disturb: a signal then ends it at once."""
     global _over
     _over = True
+    exec("")
 
 
 def go_on() -> None:

@@ -175,15 +175,18 @@ def _tell_processes(run: Run, stage: Stage, units: list[Unit]) -> None:
 
 def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell = silent) -> Outcome:
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
-    start = time.monotonic()
+    start, before = time.monotonic(), _inode(run.path(stage.writes, unit))
     try:
         with run.lock(f"{stage.writes}/{unit}" if unit else stage.writes) as waited:
             for file in (run.path(stage.writes, unit), run.checkpoint(stage, unit)):
                 remove_leftovers(file)
             if (waited or not options.force) and run.fresh(stage, unit):
                 return Outcome(stage.name, unit, "cached", 0.0, _quality(run, stage, unit))
+            other = _inode(run.path(stage.writes, unit)) != before and not run.fresh(stage, unit)
+            warnings = _made_meanwhile(run, stage, unit) if other else []
             output = _make(run, stage, unit, options, tell)
-        return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
+        warnings += output.warnings
+        return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(warnings))
     except PiegraphError as error:
         go_on()
         return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=error)
@@ -191,6 +194,20 @@ def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell = 
         go_on()  # what a signal was made into, by a module that was being imported perhaps, is no bug
         log.debug("%s", traceback.format_exc())
         return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=_told(error, run, stage))
+
+
+def _inode(path: Path) -> int | None:
+    """Which file is at a place: one that is made again is another one."""
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return None
+
+
+def _made_meanwhile(run: Run, stage: Stage, unit: Unit) -> list[str]:
+    """What to say where another process made an artifact while this one waited, and not as this one has to."""
+    why = run.why_stale(stage, unit)
+    return [f"another piegraph has just made {stage.writes} otherwise ({why}); it is made again as this command has it"]
 
 
 def _told(error: Exception, run: Run, stage: Stage) -> PiegraphError:

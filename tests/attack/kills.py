@@ -17,6 +17,7 @@ import tempfile
 import time
 import uuid
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,9 @@ class Command:
             (folder.parent / name).write_bytes(b"")
         environment = dict(os.environ) | {MARK: self.mark, "OMP_NUM_THREADS": "1"}
         files = {name: str(folder.parent / name) for name in ("stdout", "stderr")}
-        self.pid = 0 if own else os.fork()
+        if not own:  # until the program takes them, signals would reach what it is forked from
+            signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)
+            self.pid = os.fork()
         if own:
             with open(files["stdout"], "wb") as out, open(files["stderr"], "wb") as err:
                 program = [*PROGRAM, *arguments]
@@ -58,12 +61,13 @@ class Command:
                 self.pid, process.returncode = process.pid, 0  # waited for here
         elif self.pid == 0:
             os.setsid()
-            signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)
             become({"arguments": list(arguments), "folder": str(folder), "environment": environment, **files})
             from piegraph_cli import __main__
 
             __main__.obey = begin
             __main__.main()
+        else:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
 
     def ended(self, seconds: float) -> int | None:
         """The exit code, or None where it has not ended in time."""
@@ -93,8 +97,8 @@ class Command:
         return (self.folder.parent / "stderr").read_text(errors="replace")
 
 
-def stop(command: Command, name: str, whole_group: bool) -> tuple[int | None, list[str]]:
-    """Stop a command; its exit code, and what is wrong about how it ended."""
+def stop(command: Command, name: str, whole_group: bool, complete: Callable[[], bool]) -> tuple[int | None, list[str]]:
+    """Stop a command; its exit code, and what is wrong about how it ended; `complete` tells whether all was made."""
     begin = time.monotonic()
     (os.killpg if whole_group else os.kill)(command.pid, getattr(signal, name))
     code = command.ended(PATIENCE)
@@ -108,7 +112,8 @@ def stop(command: Command, name: str, whole_group: bool) -> tuple[int | None, li
     text = command.stderr()
     if early(command, code, text):
         return None, wrong
-    if code not in (SIGNALS[name], 0):
+    done = code == -getattr(signal, name) and complete()  # Python itself was ending
+    if code not in (SIGNALS[name], 0) and not done:
         wrong.append(f"exit code {code}: {text[-500:]}")
     if "Traceback" in text or "leaked" in text or "bug in" in text:
         wrong.append(text[-1500:])
@@ -169,7 +174,8 @@ class Campaign:
                 self.finish(chain, folder, expected, code, command)
                 return
             where = self.stage(folder / chain.run)
-            code, wrong = stop(command, name, name == "SIGINT" and bool(self.rng.random() < 0.5))
+            group = name == "SIGINT" and bool(self.rng.random() < 0.5)
+            code, wrong = stop(command, name, group, lambda: not different(folder / chain.run, expected))
             wrong += broken(folder / chain.run)
             self.stops[f"{name} --jobs {jobs}" if code is not None else f"{name} before the program began"] += 1
             self.stages[where] += 1

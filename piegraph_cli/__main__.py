@@ -2,16 +2,17 @@
 
 import sys
 
-from piegraph_cli.signals import obey, stopped
+from piegraph_cli.signals import obey, over, stopped
 
 
 def main() -> None:
     """The `piegraph` program. A signal that comes while its modules are imported is a signal too."""
-    obey()
     try:
+        obey()
         from piegraph_cli.commands.program import run
 
         code = run()
+        over()
     except Exception:
         if stopped() is None:
             raise
@@ -23,6 +24,7 @@ def main() -> None:
 
 def _early() -> int:
     """Nothing was begun yet."""
+    over()
     print("interrupted", file=sys.stderr)
     return 128 + (stopped() or 2)
 

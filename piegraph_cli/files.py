@@ -1,11 +1,16 @@
 """Files that are at every moment absent, the old ones, or the whole new ones."""
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from piegraph_cli.errors import DataError
+
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}
+"""How a file system says that nothing more can be written: full, without inodes too, beyond a quota or a limit, read-only."""
+MAKE_ROOM = "free disk space or check permissions, then rerun"
 
 
 @contextlib.contextmanager
@@ -19,17 +24,18 @@ def atomic_file(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise DataError(
-            f"cannot be written: {error}", str(path), "free disk space or check permissions, then rerun"
-        ) from error
+        raise DataError(f"cannot be written: {error}", str(path), MAKE_ROOM) from error
     finally:
         with contextlib.suppress(OSError):  # where nothing can be written, nothing was
             temporary.unlink(missing_ok=True)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    with contextlib.suppress(
+        OSError
+    ):  # the whole new file is there; where folders are not synced, a power cut may undo it
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def remove_leftovers(path: Path) -> None:

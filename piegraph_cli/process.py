@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import gc
 import os
+import resource
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,6 +50,32 @@ def free_memory() -> float | None:
             free = min(free, float(limit - used))
         return free
     return None
+
+
+NEED, SPACE = 0.8e9, 1.6e9
+"""Bytes of memory and of addresses that a process with a small recording takes, most of them PyTorch's and OpenCV's."""
+NO_MEMORY = ("cannot allocate memory", "failed to map segment", "out of memory", "bad alloc", "std::bad_alloc")
+"""What libraries say where there is none left."""
+
+
+def short_of_memory(processes: int) -> str:
+    """What will not fit where so many processes work at a time; empty where nothing is known to be short."""
+    free, limit = free_memory(), resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < SPACE:
+        return f"each process takes about {SPACE / 1e9:.1f} GB of addresses, and may take {limit / 1e9:.1f}: raise `ulimit -v`"
+    if free is None or free >= processes * NEED:
+        return ""
+    what = (
+        f"about {NEED / 1e9:.1f} GB in each of {processes} processes" if processes > 1 else f"about {NEED / 1e9:.1f} GB"
+    )
+    fewer = f"give --jobs {max(1, int(free / NEED))}, or " if processes > 1 else ""
+    return f"this takes {what}, and {free / 1e9:.1f} GB are free: {fewer}end other programs"
+
+
+def out_of_memory(error: Exception) -> bool:
+    """Whether an error says that there is no memory left."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or any(said in text for said in NO_MEMORY)
 
 
 @contextlib.contextmanager

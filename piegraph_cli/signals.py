@@ -21,6 +21,7 @@ WATCHED = 0.5
 """Seconds between looks whether the process that started this one is still there."""
 
 _came: tuple[int, float] | None = None
+_over = False
 
 
 def obey() -> None:
@@ -36,6 +37,13 @@ def stopped() -> int | None:
     return _came[0] if _came else None
 
 
+def over() -> None:
+    """Say that the program is done but for its end, which no exception is to disturb: a signal then ends it at once."""
+    global _over
+    _over = True
+    exec("")
+
+
 def go_on() -> None:
     """Raises `KeyboardInterrupt` where a signal came, whatever became of it then."""
     if _came:
@@ -46,7 +54,9 @@ def _end(number: int, frame: FrameType | None) -> None:
     global _came
     if _came is None:
         _came = number, time.monotonic()
-        raise KeyboardInterrupt
+        if not _over:
+            raise KeyboardInterrupt
+        os._exit(128 + number)
     if time.monotonic() - _came[1] > SAME:
         os._exit(128 + number)
 
@@ -61,6 +71,8 @@ def _again(unraisable: "sys.UnraisableHookArgs") -> None:
 
 def _repeat() -> None:
     global _came
+    if _over:
+        return
     number, _came = stopped() or signal.SIGINT, None
     os.kill(os.getpid(), number)
 
@@ -77,7 +89,7 @@ def held_back() -> Iterator[None]:
 
 @functools.cache
 def end_with(parent: int) -> None:
-    """End this process soon after the one that has started it, however that ends."""
+    """End this process soon after the one that has started it, however that ends; called as soon as it runs."""
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 

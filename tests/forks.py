@@ -11,9 +11,14 @@ import sys
 from typing import Any
 
 
-def serve() -> None:
+def import_all() -> None:
+    """What most commands import, and takes long."""
     import piegraph_cli.dynamics.models
     import piegraph_cli.planning.search  # noqa: F401
+
+
+def serve() -> None:
+    import_all()
     from piegraph_cli.__main__ import main
 
     gc.collect()

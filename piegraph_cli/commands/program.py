@@ -16,7 +16,8 @@ from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.pretrain import pretrain
 from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
-from piegraph_cli.errors import PiegraphError, UsageError
+from piegraph_cli.errors import DataError, PiegraphError, UsageError
+from piegraph_cli.files import MAKE_ROOM, NO_SPACE
 from piegraph_cli.signals import stopped
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
@@ -149,9 +150,11 @@ def _ended(arguments: Sequence[str]) -> int:
         return _run(arguments)
     except KeyboardInterrupt:
         raise Interrupted(stopped() or signal.SIGINT) from None
-    except Exception:
+    except Exception as error:
         if (number := stopped()) is not None:  # whatever the signal was made into on its way
             raise Interrupted(number) from None
+        if isinstance(error, OSError) and error.errno in NO_SPACE:
+            raise DataError(f"cannot be written: {error}", str(error.filename or "output"), MAKE_ROOM) from error
         raise
 
 
@@ -181,4 +184,10 @@ def run() -> int:
     except BrokenPipeError:  # who read it has left, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
+    except OSError as error:  # what was still to be written to a file
+        if error.errno not in NO_SPACE:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"error: stdout: cannot be written: {error}\n  try: {MAKE_ROOM}", file=sys.stderr)
+        code = DataError.exit_code
     return code

@@ -1,5 +1,7 @@
 """Commands on whole runs: running a recipe, and looking at what came of it."""
 
+import contextlib
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +13,7 @@ from piegraph_cli.commands.options import AsJson, Backend, Device, Force, Jobs, 
 from piegraph_cli.commands.output import Report, emit, logging_to, summary
 from piegraph_cli.commands.stages import require_run
 from piegraph_cli.commands.survey import grouped
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.stages import STAGES, open_run
 from piegraph_cli.text import Column, Line, Table
@@ -84,6 +86,7 @@ def _run(run: "Run", named: Recipe, until: str | None, options: "Options") -> "l
     Where it is refused, the run has the recipe again that it had before, or `named` where it had none.
     """
     from piegraph_cli.workspace.execute import run_chain
+    from piegraph_cli.workspace.together import tell_changes, tell_recipe
 
     path = run.folder / "recipe.toml"
     before = path.read_bytes() if path.exists() else None
@@ -101,6 +104,8 @@ def _run(run: "Run", named: Recipe, until: str | None, options: "Options") -> "l
     except UsageError:
         take_back()
         raise
+    tell_changes(run, outcomes)
+    tell_recipe(run.folder, run.recipe)
     if any(isinstance(o.error, UsageError) for o in outcomes):
         take_back()
     return outcomes
@@ -117,23 +122,33 @@ def _foreseen(run: "Run", until: str | None, force: bool) -> Report:
     return Report({"run": str(run.folder), "would_make": rows}, told)
 
 
-def report(run: RunFolder, as_json: AsJson = False) -> None:
+def report(
+    run: RunFolder,
+    out: Annotated[
+        Path | None, typer.Option(help="folder to write it into, and nothing into the run [default: RUN/report]")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
     """Write a run's report into RUN/report/index.html.
 
     One file for any browser, with verdicts, tables, pictures of all sequences, plots, and how to make it again.
     """
     require_run(run)
-    with logging_to(run):
-        emit(_reported(run), as_json)
+    if out is None and not os.access(run, os.W_OK):
+        raise DataError("cannot be written, and the report goes into it", str(run), "--out FOLDER")
+    if out is not None and out.exists() and not out.is_dir():
+        raise UsageError("is a file", str(out), "give --out a folder")
+    with logging_to(run) if out is None else contextlib.nullcontext():
+        emit(_reported(run, out), as_json)
 
 
-def _reported(run: Path) -> Report:
+def _reported(run: Path, out: Path | None) -> Report:
     """What `report` prints: a word on each part of the run, and where the page is."""
     from tqdm import tqdm
 
     from piegraph_cli.report.page import write_report
 
-    written = write_report(run, lambda names: tqdm(names, desc="report", leave=False, disable=None, delay=1))
+    written = write_report(run, lambda names: tqdm(names, desc="report", leave=False, disable=None, delay=1), out)
     rows = [
         (of.part, of.word, of.figure + (f": {of.command}" if of.word == "not yet" else "")) for of in written.verdicts
     ]

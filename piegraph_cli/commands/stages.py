@@ -21,6 +21,7 @@ from piegraph_cli.workspace.stage import Stage, load
 
 if TYPE_CHECKING:
     from piegraph_cli.workspace.execute import Options, Outcome
+    from piegraph_cli.workspace.recipe import Recipe
     from piegraph_cli.workspace.run import Run
 
 
@@ -53,7 +54,8 @@ def _command(stage: Stage) -> Callable[..., None]:
         run = open_run(folder)
         settings, units = call.apply(run, given) if call.apply else (given, ())
         how = running(units, force, jobs, backend, device)  # type: ignore[arg-type]
-        run.recipe = run.recipe.with_values(stage, settings, f"piegraph {stage.name}", Path.cwd())
+        before = run.recipe
+        run.recipe = before.with_values(stage, settings, f"piegraph {stage.name}", Path.cwd())
         if instead:
             emit(Report(*instead.make(folder, run.recipe.params(stage), jobs, force)), as_json)
             return
@@ -62,19 +64,19 @@ def _command(stage: Stage) -> Callable[..., None]:
         if call.out and (out or not os.access(folder, os.W_OK)):
             emit(_run_beside(stage, run, how, out), as_json)
             return
-        emit(_run_in(folder, stage, run, how), as_json)
+        emit(_run_in(folder, stage, run, how, before), as_json)
 
     command.__signature__ = Signature(stage_parameters(call, options))  # type: ignore[attr-defined]
     command.__doc__ = f"{stage.help[0].upper()}{stage.help[1:]}.\n\n{call.more}".strip()
     return command
 
 
-def _run_in(folder: Path, stage: Stage, run: "Run", how: "Options") -> Report:
+def _run_in(folder: Path, stage: Stage, run: "Run", how: "Options", before: "Recipe") -> Report:
     """Run the stage; a new folder in which nothing was made is taken away again, unless its log tells of a bug."""
     new = not folder.exists()
     try:
         with logging_to(folder):
-            report = _run(stage, run, how)
+            report = _run(stage, run, how, before)
     except PiegraphError:
         if new:
             shutil.rmtree(folder, ignore_errors=True)
@@ -85,9 +87,10 @@ def _run_in(folder: Path, stage: Stage, run: "Run", how: "Options") -> Report:
     return report
 
 
-def _run(stage: Stage, run: "Run", options: "Options") -> Report:
+def _run(stage: Stage, run: "Run", options: "Options", before: "Recipe") -> Report:
     """Run the stage; keep settings that worked in the recipe, where the stage's are kept at all."""
     from piegraph_cli.workspace.execute import LeftOut, run_stage
+    from piegraph_cli.workspace.together import keep_settings, tell_changes
 
     begin = time.monotonic()
     outcomes = run_stage(run, stage, options)
@@ -95,8 +98,9 @@ def _run(stage: Stage, run: "Run", options: "Options") -> Report:
     for outcome in outcomes:
         if isinstance(outcome.error, LeftOut):
             logging.getLogger("piegraph").error("%s", outcome.error)
+    tell_changes(run, outcomes)
     if stage.call.remembers and _accepted(outcomes):
-        run.save_recipe()
+        keep_settings(run, stage, before)
     return _report(stage, open_run(run.folder, run.recipe), outcomes, seconds)
 
 
@@ -105,7 +109,7 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
     written = f"{stage.writes}.h5"
     if out is not None:
         _check_out(out, stage)
-    own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json"}
+    own = {written, "run.log", "failures.json", "warnings.json", ".locks", ".known.json", "checkpoints"}
     with tempfile.TemporaryDirectory(prefix="piegraph-") as made:
         folder = Path(made)
         for entry in run.folder.resolve().iterdir():
@@ -114,7 +118,7 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
             elif entry.name == ".known.json":  # what was read of files is known there, too, and may change there
                 shutil.copyfile(entry, folder / entry.name)
         with logging_to(folder):
-            report = _run(stage, open_run(folder, run.recipe), options)
+            report = _run(stage, open_run(folder, run.recipe), options, run.recipe)
             if out is None:
                 logging.getLogger("piegraph").warning("%s: cannot be written, so the answer is not kept", run.folder)
         if out is not None and (folder / written).exists():

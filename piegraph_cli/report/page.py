@@ -37,13 +37,16 @@ class Written:
     left_out: list[Gap]
 
 
-def write_report(folder: Path, progress: Callable[[list[str]], Iterable[str]] = iter) -> Written:
+def write_report(
+    folder: Path, progress: Callable[[list[str]], Iterable[str]] = iter, out: Path | None = None
+) -> Written:
     """Write the report of a run; what was drawn before and has not changed is not drawn again.
 
-    `progress` goes through the names of sequences as they are drawn. Raises `DataError` where it cannot be written.
+    It goes into the run, or into another folder, `out`: then nothing is written into the run. `progress` goes through the
+    names of sequences as they are drawn. Raises `DataError` where it cannot be written.
     """
     run = open_run(folder)
-    found, out = Found(run), folder / "report"
+    found, out = Found(run), out or folder / "report"
     drawn = Drawn(out / ".drawn")
     parts = {name: sequence_parts(found, name) for name in found.sequences}
     metrics, scores = read_metrics(run) if found.has("evaluate") else ({}, [])

@@ -10,10 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from piegraph_cli.errors import DataError, InputError, PiegraphError, command_line
-from piegraph_cli.files import remove_leftovers
+from piegraph_cli.errors import DataError, InputError, MissingError, PiegraphError, command_line
+from piegraph_cli.files import MAKE_ROOM, NO_SPACE, remove_leftovers
+from piegraph_cli.process import out_of_memory, short_of_memory
 from piegraph_cli.signals import go_on
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
+from piegraph_cli.workspace.locks import have_locks
 from piegraph_cli.workspace.parallel import each
 from piegraph_cli.workspace.progress import Tell, silent, watching
 from piegraph_cli.workspace.run import Run
@@ -107,6 +109,9 @@ def run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
 
 def _check_before(run: Run, stages: Sequence[Stage], options: Options) -> None:
     """Have the stages that can look at what they will need, before the first of them takes its time."""
+    most = max((len(run.units(s)) for s in stages if any(not run.fresh(s, u) for u in run.units(s))), default=0)
+    if trouble := short_of_memory(min(options.jobs, most)) if most else "":
+        log.warning("%s", trouble)
     for stage in stages:
         if stage.check is None:
             continue
@@ -150,6 +155,7 @@ def _work_through(run: Run, stage: Stage, units: list[Unit], options: Options) -
         return Outcome(stage.name, unit, "failed", 0.0, error=error)
 
     outcomes = []
+    have_locks(run.lock_file("").parent)
     with watching(stage.name, len(units), stage.unit, jobs > 1, options.backend == "local") as (tell, finish):
         work = partial(run_unit, Run(run.folder.resolve(), run.recipe), stage, options=options, tell=tell)
         for outcome in each(work, units, jobs, options.backend, lost):
@@ -169,26 +175,53 @@ def _tell_processes(run: Run, stage: Stage, units: list[Unit]) -> None:
 
 def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell = silent) -> Outcome:
     """Make one artifact, unless another process has just made it. Every error of the stage comes back as an outcome."""
-    start = time.monotonic()
+    start, before = time.monotonic(), _inode(run.path(stage.writes, unit))
     try:
         with run.lock(f"{stage.writes}/{unit}" if unit else stage.writes) as waited:
             for file in (run.path(stage.writes, unit), run.checkpoint(stage, unit)):
                 remove_leftovers(file)
             if (waited or not options.force) and run.fresh(stage, unit):
                 return Outcome(stage.name, unit, "cached", 0.0, _quality(run, stage, unit))
+            other = _inode(run.path(stage.writes, unit)) != before and not run.fresh(stage, unit)
+            warnings = _made_meanwhile(run, stage, unit) if other else []
             output = _make(run, stage, unit, options, tell)
-        return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
+        warnings += output.warnings
+        return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(warnings))
     except PiegraphError as error:
         go_on()
         return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=error)
     except Exception as error:
         go_on()  # what a signal was made into, by a module that was being imported perhaps, is no bug
         log.debug("%s", traceback.format_exc())
-        bug = PiegraphError(
-            f"{type(error).__name__}: {error}", f"bug in {stage.name}", f"the traceback is in {run.folder}/run.log"
-        )
-        bug.traceback = traceback.format_exc()  # type: ignore[attr-defined]
-        return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=bug)
+        return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=_told(error, run, stage))
+
+
+def _inode(path: Path) -> int | None:
+    """Which file is at a place: one that is made again is another one."""
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return None
+
+
+def _made_meanwhile(run: Run, stage: Stage, unit: Unit) -> list[str]:
+    """What to say where another process made an artifact while this one waited, and not as this one has to."""
+    why = run.why_stale(stage, unit)
+    return [f"another piegraph has just made {stage.writes} otherwise ({why}); it is made again as this command has it"]
+
+
+def _told(error: Exception, run: Run, stage: Stage) -> PiegraphError:
+    """An error that nobody foresaw: of a machine that lacks something, or a bug."""
+    if out_of_memory(error):
+        hint = "fewer --jobs, or end other programs; what is done is kept"
+        return MissingError(f"there is not enough memory: {str(error) or type(error).__name__}", stage.name, hint)
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
+        return DataError(f"cannot be written: {error}", str(error.filename or stage.name), MAKE_ROOM)
+    bug = PiegraphError(
+        f"{type(error).__name__}: {error}", f"bug in {stage.name}", f"the traceback is in {run.folder}/run.log"
+    )
+    bug.traceback = traceback.format_exc()  # type: ignore[attr-defined]
+    return bug
 
 
 def _make(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell) -> Output:

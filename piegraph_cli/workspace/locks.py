@@ -4,6 +4,7 @@ import errno
 import fcntl
 import functools
 import logging
+import multiprocessing
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -25,7 +26,7 @@ def held(file: Path) -> Iterator[bool]:
 
     Raises `DataError` where the file cannot be made.
     """
-    if not _locks_work(file.parent):
+    if not have_locks(file.parent):
         yield False
         return
     lock, waited = FileLock(file), False
@@ -41,9 +42,13 @@ def held(file: Path) -> Iterator[bool]:
         lock.release()
 
 
+def have_locks(folder: Path) -> bool:
+    """Whether the file system of a folder, which is made, has locks: found out by trying, and said once where it has none."""
+    return _have_locks(Path(os.path.realpath(folder)))
+
+
 @functools.lru_cache(maxsize=64)
-def _locks_work(folder: Path) -> bool:
-    """Whether the file system of a folder, which is made, has locks: found out by trying."""
+def _have_locks(folder: Path) -> bool:
     probe = folder / f".probe.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -53,9 +58,10 @@ def _locks_work(folder: Path) -> bool:
     except OSError as error:
         if error.errno not in NO_LOCKS:
             raise DataError(f"cannot be written: {error}", str(folder), "check permissions, or copy the run") from None
-        log.warning(
-            "%s: this file system has no locks: let only one piegraph work on this run at a time", folder.parent
-        )
+        if multiprocessing.current_process().name == "MainProcess":  # which says it for its workers
+            log.warning(
+                "%s: this file system has no locks: let only one piegraph work on this run at a time", folder.parent
+            )
         return False
     finally:
         with suppress(OSError):

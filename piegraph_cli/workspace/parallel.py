@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import multiprocessing
 import os
 import sys
 import warnings
@@ -14,6 +15,8 @@ from piegraph_cli.signals import end_with, held_back
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+log = logging.getLogger("piegraph")
 
 RETRIES = 5
 """How often an item is tried again on Ray when the node or process that works on it dies."""
@@ -42,6 +45,7 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
     """What tasks give, worked on by so many processes of this machine, which end with this one, however it ends."""
     from multiprocessing import resource_tracker
 
+    warnings.filterwarnings("ignore", message=".*joblib will operate in serial mode")
     import joblib
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.backend.resource_tracker import ensure_running
@@ -50,13 +54,19 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
     # joblib replaces workers that have grown, which is no news to a user; nor is what is left of a killed process
     warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given to the executor")
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
-    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator" if in_order else "generator_unordered")
+    if jobs > 1 and (why := _no_semaphores()):
+        log.warning(
+            "one process in place of %d: processes cannot share semaphores here (%s); mount /dev/shm", jobs, why
+        )
+        jobs = 1
+    watch: dict[str, Any] = {"initializer": end_with, "initargs": (os.getpid(),)} if jobs > 1 else {}
+    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator" if in_order else "generator_unordered", **watch)
     try:
         if jobs > 1:
             ensure_running()
             resource_tracker.ensure_running()  # where these start they let the signals through
         with held_back():
-            found = parallel(joblib.delayed(_watched)(task, os.getpid()) for task in tasks)
+            found = parallel(joblib.delayed(task)() for task in tasks)
         yield from found
     except TerminatedWorkerError:
         raise MissingError(
@@ -67,10 +77,13 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
         raise
 
 
-def _watched(task: Callable[[], Result], parent: int) -> Result:
-    if os.getpid() != parent:
-        end_with(parent)
-    return task()
+def _no_semaphores() -> str:
+    """Why processes of this machine cannot wait for each other; empty where they can."""
+    try:
+        multiprocessing.get_context("spawn").Semaphore()
+    except (OSError, ImportError) as error:
+        return str(error)
+    return ""
 
 
 def _on_ray(

@@ -4,6 +4,7 @@ import functools
 import platform
 import re
 import time
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +15,7 @@ NANO = 1_000_000
 @functools.cache
 def machine() -> str:
     """The processor's name and how many cores of it this process may use."""
+    warnings.filterwarnings("ignore", message=".*joblib will operate in serial mode")  # `--jobs` says it
     import joblib
 
     name = platform.processor() or platform.machine()

@@ -1,0 +1,192 @@
+"""Machines that lack something: locks, space, a run that can be written, shared memory; and two processes on one run.
+
+Calls fail through a library that is preloaded (`tests/attack/shim.c`), which needs a C compiler.
+"""
+
+import errno
+import multiprocessing
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from piegraph_cli import process
+from piegraph_cli.workspace import parallel
+from tests.attack.chains import different
+from tests.cli import PROGRAM, REPOSITORY, piegraph
+
+SHIM = REPOSITORY / "tests" / "attack" / "shim.c"
+
+
+@pytest.fixture(scope="module")
+def shim(tmp_path_factory):
+    """Settings of the environment, from what is to fail."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None or sys.platform != "linux":
+        pytest.skip("no C compiler to build what lets calls fail")
+    library = tmp_path_factory.mktemp("shim") / "shim.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, SHIM, "-ldl"], check=True)
+
+    def settings(root: Path, calls: str, number: int, at: int) -> dict[str, str]:
+        given = {"ROOT": root, "CALLS": calls, "ERRNO": number, "AT": at}
+        return os.environ | {f"SHIM_{k}": str(v) for k, v in given.items()} | {"LD_PRELOAD": str(library)}
+
+    return settings
+
+
+@pytest.fixture
+def run(tiny_run, tmp_path):
+    return Path(shutil.copytree(tiny_run, tmp_path / "run"))
+
+
+def program(*arguments: object, **how) -> subprocess.CompletedProcess:
+    return subprocess.run([*PROGRAM, *map(str, arguments)], capture_output=True, text=True, **how)
+
+
+def test_without_locks_one_word_whatever_the_workers(run, shim):
+    done = program("evaluate", "--run", run, "--force", "--jobs", 2, env=shim(run, "lock", errno.ENOSYS, 1))
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("has no locks") == 1
+
+
+@pytest.mark.parametrize(("number", "at"), [(errno.ENOSPC, 1), (errno.ENOSPC, 9), (errno.EDQUOT, 16)])
+def test_a_disk_that_is_full_from_some_call_on(run, tiny_run, shim, number, at):
+    (run / "plan.h5").unlink()
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*.h5")}
+    full = program("plan", "--run", run, env=shim(run, "write", number, at))
+    assert full.returncode in (0, 3), full.stderr
+    assert "Traceback" not in full.stderr
+    assert "bug" not in full.stderr
+    assert full.returncode == 0 or f"{run.name}/" in full.stderr
+    assert not list(run.rglob("*.tmp"))
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    program("plan", "--run", run)
+    assert not different(run, tiny_run)
+
+
+def test_a_run_that_cannot_be_written_is_read_all_the_same(run, tmp_path):
+    if os.geteuid() or subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
+        pytest.skip("to mount a folder read-only takes root")
+    (run / "checkpoints").mkdir(exist_ok=True)
+    script = 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"'
+
+    def read_only(*words: object) -> subprocess.CompletedProcess:
+        command = ["unshare", "-m", "sh", "-c", script, str(run), *PROGRAM, *map(str, words), "--run", str(run)]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    plan, page = tmp_path / "plan.h5", tmp_path / "page"
+    for words in (("status",), ("evaluate",), ("plan", "--out", plan), ("report", "--out", page)):
+        done = read_only(*words)
+        assert done.returncode == 0, done.stderr
+    assert plan.exists()
+    assert (page / "index.html").exists()
+    for words in (("report",), ("train", "--force"), ("dataset", "--force")):
+        done = read_only(*words)
+        assert done.returncode == 3, done.stderr
+        assert "cannot be written" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_without_shared_memory_one_process_does_it_and_says_so(monkeypatch, caplog):
+    class Nothing:
+        def Semaphore(self):
+            raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(multiprocessing, "get_context", lambda *_: Nothing())
+    assert list(parallel.in_processes([os.getpid] * 3, 2)) == [os.getpid()] * 3
+    assert caplog.text.count("one process in place of 2") == 1
+
+
+@pytest.mark.parametrize(
+    ("free", "limit", "jobs", "said"),
+    [
+        (64e9, resource.RLIM_INFINITY, 8, ""),
+        (2.1e9, resource.RLIM_INFINITY, 8, "0.8 GB in each of 8 processes, and 2.1 GB are free: give --jobs 2"),
+        (0.5e9, resource.RLIM_INFINITY, 1, "about 0.8 GB, and 0.5 GB are free: end other programs"),
+        (64e9, 2 << 30, 1, ""),
+        (64e9, 1 << 30, 1, "may take 1.1: raise `ulimit -v`"),
+    ],
+)
+def test_what_will_not_fit_is_said(monkeypatch, free, limit, jobs, said):
+    monkeypatch.setattr(process, "free_memory", lambda: free)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
+    found = process.short_of_memory(jobs)
+    assert (said in found) if said else not found
+
+
+def test_too_little_memory_is_no_bug(run):
+    done = program("dataset", "--run", run, "--force", preexec_fn=little_memory)
+    assert done.returncode == 4, done.stderr
+    assert "ulimit -v" in done.stderr
+    assert "not enough memory" in done.stderr
+
+
+def little_memory() -> None:
+    """For the child process: too few addresses to load PyTorch."""
+    resource.setrlimit(resource.RLIMIT_AS, (600 << 20, 600 << 20))
+
+
+def test_output_to_a_full_disk(run):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*PROGRAM, "status", "--run", str(run)], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 3
+    assert "cannot be written" in done.stderr
+
+
+def test_two_trainings_with_different_settings_at_once_say_so(run):
+    words = [*PROGRAM, "train", "--run", str(run), "--steps"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    both = [subprocess.Popen([*words, str(steps)], **pipes) for steps in (60, 70)]
+    said = "".join(process.communicate()[1] for process in both)
+    assert [process.returncode for process in both] == [0, 0]
+    assert "another piegraph has just made model otherwise (settings changed: steps)" in said
+    assert "another piegraph has changed train.piegraph.steps meanwhile" in said
+
+
+def test_settings_of_another_stage_are_kept_beside_those_of_this_one(run):
+    """Both commands had read the recipe before either kept its settings."""
+    from piegraph_cli.stages import STAGES, open_run
+    from piegraph_cli.workspace.together import keep_settings
+
+    opened = [open_run(run), open_run(run)]
+    for one, stage, values in zip(opened, ("train", "plan"), ({"seeds": [3]}, {"samples": 9}), strict=True):
+        before = one.recipe
+        one.recipe = before.with_values(STAGES[stage], values, "test", run)
+        keep_settings(one, STAGES[stage], before)
+    found = open_run(run).recipe.sections
+    assert (found["train"]["seeds"], found["plan"]["samples"]) == ([3], 9)
+
+
+def test_one_that_is_killed_while_it_holds_a_lock_leaves_it_free(run):
+    holder = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            f"""
+import os, signal, time
+from pathlib import Path
+from piegraph_cli.workspace.locks import held
+with held(Path({str(run)!r}) / ".locks" / "dataset.lock"):
+    print("held", flush=True)
+    time.sleep(600)
+""",
+        ],
+        stdout=subprocess.PIPE,
+    )
+    assert holder.stdout is not None
+    holder.stdout.readline()
+    waiting = subprocess.Popen([*PROGRAM, "dataset", "--run", str(run), "--force"], stderr=subprocess.PIPE, text=True)
+    assert waiting.stderr is not None
+    assert "waiting for another piegraph" in waiting.stderr.readline()
+    holder.kill()
+    assert waiting.wait(60) == 0
+    holder.wait()
+
+
+def test_a_run_that_moved_is_fresh(run, tmp_path):
+    run.rename(tmp_path / "elsewhere")
+    assert "all is fresh" in piegraph("run", "--run", tmp_path / "elsewhere", "--dry").stdout

@@ -56,9 +56,7 @@ def pinches(apart: np.ndarray) -> np.ndarray:
     return course
 
 
-def picks(
-    landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.ndarray], reach: float
-) -> np.ndarray:
+def picks(landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.ndarray], reach: float) -> np.ndarray:
     """Frames [F] bool in which a hand holds the object between thumb and fingers.
 
     It is open, closes within `reach` (m) of the object as seen from above, and lifts what is under it: a hand that pushes

@@ -26,7 +26,8 @@ class TrackParams(Params):
         "auto", description="how the hand moves the object; auto: each stroke as `fuse` saw it"
     )
     object: Literal["auto", "sheet", "solid"] = Field(
-        "auto", description="what is followed: a sheet by its colours too; auto: a sheet where the first frame shows one"
+        "auto",
+        description="what is followed: a sheet by its colours too; auto: a sheet where the first frame shows one",
     )
 
     @model_validator(mode="after")

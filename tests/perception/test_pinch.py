@@ -66,7 +66,7 @@ def test_a_pick_is_a_hand_that_closes_on_the_object_and_lifts_it():
     [
         (ACTS, AT_SHEET, [0.0] * FRAMES),
         ([CLOSED] * FRAMES, AT_SHEET, RISING),
-        (ACTS, AT_SHEET + [0.3, 0, 0], RISING),
+        (ACTS, AT_SHEET + np.array([0.3, 0, 0]), RISING),
         ([np.nan] * FRAMES, AT_SHEET, RISING),
     ],
     ids=["nothing rises", "closed all the time", "away from the object", "never seen"],

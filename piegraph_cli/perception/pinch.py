@@ -68,7 +68,7 @@ def picks(landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.n
     runs, count = label(closed)
     holds = np.zeros_like(closed)
     for n in range(1, count + 1):
-        frames = np.flatnonzero(runs == n)
+        frames = np.flatnonzero(runs == n).tolist()
         opened = frames[0] > 0 and np.isfinite(landmarks[frames[0] - 1]).any()
         near = np.array([_gap(end_effector[f], clouds[f]) <= reach for f in frames])
         if len(frames) < 2 or not opened or not near[0] or near.mean() <= 0.5:

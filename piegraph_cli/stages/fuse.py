@@ -1,11 +1,17 @@
 """Stage `fuse`: one cloud of the object per frame from all cameras, and whether the hand touches it."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PICK, PUSH
 from piegraph_cli.perception.params import FuseParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from piegraph_cli.workspace.artifact import Artifact
 
 STAGE = Stage(
     "fuse",
@@ -22,8 +28,7 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     """Fuse one sequence."""
     import numpy as np
 
-    from piegraph_cli.perception.clouds import contact, fuse, grasped, while_closed
-    from piegraph_cli.perception.pinch import picks, with_picks
+    from piegraph_cli.perception.clouds import fuse
     from piegraph_cli.recording.images import ImageStack
     from piegraph_cli.stages.images import cameras_of, depth_of, workspace_of
 
@@ -42,13 +47,7 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
             str(frames.path),
             "look at the masks with `piegraph report`; check ingest.workspace",
         )
-    touching = contact(hands["end_effector"], clouds, params.contact_radius)
-    if "opening" in hands.arrays:
-        touching = while_closed(touching, hands["opening"], params.closed)
-        held = grasped(touching, hands["opening"], params.closed)
-    else:
-        held = picks(hands["landmarks"], hands["end_effector"], clouds, 2 * params.contact_radius)
-        touching = with_picks(touching, held)
+    touching, held = _handled(hands, clouds, params)
     arrays = {
         "points": np.concatenate(clouds),
         "offsets": np.concatenate([[0], sizes.cumsum()]),
@@ -61,3 +60,16 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     quality += f", {held.mean():.0%} held" if held.any() else ""
     warnings = [] if touching.any() else ["the hand never touches the object: no stroke will be found in this sequence"]
     return Output(arrays, quality, warnings)
+
+
+def _handled(hands: "Artifact", clouds: "Sequence[np.ndarray]", params: FuseParams) -> "tuple[np.ndarray, np.ndarray]":
+    """The frames [F] bool of contact, and those in which the object is held."""
+    from piegraph_cli.perception.clouds import contact, grasped, while_closed
+    from piegraph_cli.perception.pinch import picks, with_picks
+
+    touching = contact(hands["end_effector"], clouds, params.contact_radius)
+    if "opening" in hands:
+        touching = while_closed(touching, hands["opening"], params.closed)
+        return touching, grasped(touching, hands["opening"], params.closed)
+    held = picks(hands["landmarks"], hands["end_effector"], clouds, 2 * params.contact_radius)
+    return with_picks(touching, held), held

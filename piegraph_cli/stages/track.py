@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from piegraph_cli.physics.tracking import TrackResult
     from piegraph_cli.physics.visibility import View
+    from piegraph_cli.workspace.artifact import Artifact
 
 STAGE = Stage(
     "track",
@@ -59,11 +60,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
 
     source = inputs["clouds"]
     clouds = np.split(source["points"], source["offsets"][1:-1])
-    mode = np.full(len(clouds), PUSH if params.mode == "auto" else mode_number(params.mode))
-    if params.mode == "auto" and "mode" in source:
-        mode = source["mode"]
-    grasp = source["contact"] & (mode == PICK)
-    held = {"hand": _filled(source["end_effector"]), "grasp": grasp} if grasp.any() else {}
+    mode, held = _handling(source, params)
     views = Views(inputs["frames"], inputs["masks"])
     try:
         tracked = track_clouds(
@@ -76,7 +73,7 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         )
     except DataError as error:
         raise DataError(error.message, f"{source.path}, {error.where or 'frame 0'}", error.hint) from None
-    frames = len(clouds)
+    frames, told = len(clouds), ", a sheet" if tracked.sheet else ""
     arrays = {
         "positions": tracked.positions,
         "residual": tracked.residual,
@@ -90,10 +87,21 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         told = f"residual {tracked.residual.mean() * 1000:.1f} mm; how far off is not known: particles slide"
         return Output(arrays, f"{frames} frames, {told}", _lost(tracked))
     arrays |= {"trust/doubt": tracked.doubt, "trust/misfit": tracked.misfit}
-    quality = (
-        f"{frames} frames{', a sheet' if tracked.sheet else ''}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
-    )
+    quality = f"{frames} frames{told}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
     return Output(arrays, quality, _lost(tracked) + _doubts(tracked))
+
+
+def _handling(source: "Artifact", params: TrackParams) -> "tuple[np.ndarray, dict[str, np.ndarray]]":
+    """Of clouds, each frame's mode [F], and where there are picks the hand [F, 3] (m) and whether it holds [F]."""
+    import numpy as np
+
+    frames = len(source["time"])
+    if params.mode == "auto":
+        mode = source["mode"] if "mode" in source else np.full(frames, PUSH)
+    else:
+        mode = np.full(frames, mode_number(params.mode))
+    grasp = source["contact"] & (mode == PICK)
+    return mode, {"hand": _filled(source["end_effector"]), "grasp": grasp} if grasp.any() else {}
 
 
 def _filled(hand: "np.ndarray") -> "np.ndarray":

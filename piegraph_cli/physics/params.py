@@ -24,7 +24,8 @@ class TrackParams(Params):
     points: int = Field(800, ge=20, description="points a cloud is thinned to for the assignment")
     mode: Literal["push", "pick"] = Field("push", description="how the hand moves the object")
     object: Literal["auto", "sheet", "solid"] = Field(
-        "auto", description="what is followed: a sheet by its colours too; auto: a sheet where the first frame shows one"
+        "auto",
+        description="what is followed: a sheet by its colours too; auto: a sheet where the first frame shows one",
     )
 
     @model_validator(mode="after")

@@ -13,20 +13,24 @@ import numpy as np
 from piegraph_cli.physics.sheet_atlas import Atlas
 from piegraph_cli.physics.sheet_fit import keep_silhouette, lie_in_depth
 from piegraph_cli.physics.sheet_flow import Flow
-from piegraph_cli.physics.sheet_images import Shot
+from piegraph_cli.physics.sheet_images import Shot, completed
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import SheetMesh
 from piegraph_cli.physics.sheet_surface import Sums, Surface, faces_of, shades_before, visible
 
 GRASP, REACH = 0.018, 0.035
 """Metres seen from above within which a hand holds all layers of the sheet, and, where there is nothing, the nearest node."""
-BESIDE, LEAP = 0.06, 0.15
-"""Metres between a hand and what it holds, and that it moves in a frame, beyond which it is measured wrongly."""
+LEAP = 0.15
+"""Metres that a hand moves in a frame, beyond which it is measured wrongly."""
+AROUND, ALONG, ALONG_SHARE = 0.06, 0.02, 0.5
+"""Metres about the hand in which cloth that it holds goes along, and how differently it may: metres, and share of the way."""
 DRIVEN, STIRS = 6.0, 0.004
 """Pixels by which a node's flow is sure enough to drive the cloth, and metres from which a node moves; `FEW` of them do."""
 FEW = 3
 SETTLING = 0.4
 """Seconds that pass for a sheet that is let go."""
+RESTING = 2
+"""Frames without motion after which the atlas takes what it has not seen yet."""
 LONGEST_STEP = 0.5
 """Seconds between two frames, at most: what moves longer comes to rest."""
 GAIN, FULL = 0.3, 6.0
@@ -41,32 +45,38 @@ class Hand:
 
     position: np.ndarray
     """[F, 3] metres, NaN where unknown."""
-    holds: np.ndarray
-    """[F] bool."""
+    near: np.ndarray
+    """[F] bool: where it is so near to the sheet that it may hold it."""
 
 
 class Grip:
-    """The nodes in the hand, which go where it goes, while it is where they are."""
+    """The nodes in the hand, which go where it goes as long as the cloth around them goes there too."""
 
     def __init__(self, hand: Hand | None, nodes: int):
         self.hand = hand
         self.held = np.zeros(nodes, bool)
-        self.closed = False
 
-    def carry(self, frame: int, x: np.ndarray) -> np.ndarray | None:
+    def carry(self, frame: int, x: np.ndarray, flow: Sums) -> np.ndarray | None:
         """Close, go on or let go: the way [3] (m) of the nodes of x [N, 3] (m) that are held, None where there are none."""
-        if self.hand is None or not self.hand.holds[frame]:
-            self.closed, self.held = False, np.zeros(len(x), bool)
+        if self.hand is None or not self.hand.near[frame]:
+            self.held[:] = False
             return None
         place, before = self.hand.position[frame], self.hand.position[max(0, frame - 1)]
-        if not self.closed and np.isfinite(place).all():
-            self.closed, self.held = True, self._under(place, x)
-            return np.zeros(3)
         way = place - before
-        lost = not self.held.any() or not np.isfinite(way).all()
-        if lost or np.linalg.norm(before - x[self.held].mean(0)) > BESIDE or np.linalg.norm(way) > LEAP:
-            return None
-        return way
+        if self.held.any() and np.isfinite(way).all() and self._goes_along(way, x, flow):
+            return way
+        self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
+        return None
+
+    def _goes_along(self, way: np.ndarray, x: np.ndarray, flow: Sums) -> bool:
+        """Whether what is seen of the cloth around the hand, if anything, moves as the hand does."""
+        if np.linalg.norm(way) > LEAP:
+            return False
+        around = (flow.weight >= DRIVEN) & (np.linalg.norm(x - x[self.held].mean(0), axis=1) < AROUND)
+        if around.sum() < FEW:
+            return True
+        apart = np.linalg.norm(way - flow.mean()[around].mean(0))
+        return bool(apart < max(ALONG, ALONG_SHARE * float(np.linalg.norm(way))))
 
     @staticmethod
     def _under(place: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -97,7 +107,7 @@ class SheetFollower:
         """`shots` of the first frame, in which the nodes lie where the mesh has them; `time` [F] (s) of all frames."""
         self.mesh, self.cloth, self.flow, self.atlas = mesh, Cloth(mesh), Flow(), Atlas(mesh)
         self.time, self.hand, self.grip = time, hand, Grip(hand, len(mesh.points))
-        self.velocity = np.zeros_like(mesh.points)
+        self.velocity, self.quiet, self.lifted = np.zeros_like(mesh.points), 0, False
         self.shots = list(shots)
         self.state = self._state(mesh.points)
         self.atlas.fill(self.state.surfaces, self.shots)
@@ -112,15 +122,16 @@ class SheetFollower:
         x = self._sane(self._prior(frame, before.x, flow), before.x)
         x = self._sane(self._corrected(x, before.x, flow, self._state(x), frame, shots), x)
         state, flow = self._state(x), Sums(len(x))
-        for surface, shades, now in zip(state.surfaces, self._carried(state), shots, strict=True):
-            self.flow.against(surface, shades, now, flow)
+        for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
+            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
+            self.flow.against(surface, shades, shots[k], flow)
         x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
             self.flow.against(surface, self.atlas.drawn(surface), now, drift)
         x = self._sane(self._corrected(x, x, drift.agreed(), state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
-        if self._at_rest(frame):
+        if self.quiet == RESTING:
             self.atlas.fill(self.state.surfaces, shots)
         return self.state
 
@@ -143,31 +154,26 @@ class SheetFollower:
 
         Nodes whose flow is sure are boundary conditions, as those in the hand; at rest all stay.
         """
-        hand, ways = self.grip.carry(frame, x), flow.mean()
+        held, ways = self.grip.held.copy(), flow.mean()
+        hand = self.grip.carry(frame, x, flow)
         driven = flow.weight >= DRIVEN
         stirred = int((np.linalg.norm(ways[driven], axis=1) > STIRS).sum()) >= FEW
-        if not stirred and not self._moving(frame):
+        freed = hand is None and bool(held.any()) and self.lifted
+        self.lifted = hand is not None
+        self.quiet = 0 if stirred or freed or hand is not None else self.quiet + 1
+        if self.quiet:
             self.velocity[:] = 0
             return x
         if hand is not None:
-            ways[self.grip.held & ~driven] = hand
+            ways[self.grip.held] = hand
             driven = driven | self.grip.held
         ways[~driven] = 0
         seconds = min(LONGEST_STEP, float(self.time[frame] - self.time[frame - 1]))
-        if hand is None and self._moving(frame):
-            seconds = max(SETTLING, seconds)
+        seconds = max(SETTLING, seconds) if freed else seconds
         x, self.velocity = self.cloth.fallen(x, self.velocity, ~driven, ways, seconds)
         if not np.isfinite(self.velocity).all():
             self.velocity = np.zeros_like(x)
         return x
-
-    def _moving(self, frame: int) -> bool:
-        """Whether a hand holds the sheet, or let it go just now."""
-        return self.hand is not None and bool(self.hand.holds[max(0, frame - 1) : frame + 1].any())
-
-    def _at_rest(self, frame: int) -> bool:
-        """Whether the sheet was let go a frame ago."""
-        return self.hand is not None and frame > 1 and bool(self.hand.holds[frame - 2]) and not self._moving(frame)
 
     def _state(self, x: np.ndarray) -> State:
         normals = self.mesh.normals(x)
@@ -187,7 +193,7 @@ class SheetFollower:
         total = np.maximum(flowing + fitting, 1e-12)[:, None]
         target = (flowing[:, None] * (start + flow.mean()) + fitting[:, None] * (x + fit.mean())) / total
         gain = GAIN * np.minimum(1.0, (flowing + fitting) / FULL)
-        return self.cloth.corrected(x, target, gain, np.ones(len(x)))
+        return self.cloth.corrected(x, target, gain, np.where(self.grip.held, 0.0, 1.0))
 
     @staticmethod
     def _sane(x: np.ndarray, before: np.ndarray) -> np.ndarray:

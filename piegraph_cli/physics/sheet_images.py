@@ -18,6 +18,10 @@ TEXTURED = 1.0
 """Grey levels a pixel by which the image must change along its weakest direction, for flow to be more than noise."""
 AROUND = 22
 """Pixels around the masks that flow is told about."""
+ALIKE = 15.0
+"""Grey levels within which two images show the same."""
+LAYER = 0.008
+"""Metres between a surface and what is measured, within which it is measured."""
 BESIDE = 32
 """Pixels around all that the object ever covers that are looked at."""
 FARTHEST = 20.0
@@ -86,6 +90,26 @@ class Shot:
         return box_of(self.mask)
 
 
+def completed(shot: Shot, pixels: np.ndarray, depth: np.ndarray, shades: np.ndarray) -> Shot:
+    """The same with a mask that has also what it missed: pixels [P, 2] where depth [P] (m) and shades [P] are as expected.
+
+    Masks of many-coloured things have holes. Where a thing is not any more its shade is not either.
+    """
+    row, column = pixels.T
+    as_deep = np.abs(shot.depth[row, column] - depth) < LAYER
+    chosen = as_deep & np.isfinite(shades) & (shot.mask[row, column] == 0)
+    off, count = np.zeros((2, *shot.mask.shape), np.float32)
+    off[row[chosen], column[chosen]] = np.abs(shades[chosen] - shot.grey[row[chosen], column[chosen]])
+    count[row[chosen], column[chosen]] = 1
+    off, count = (cv2.boxFilter(a, cv2.CV_32F, (5, 5), normalize=False) for a in (off, count))
+    more = chosen & (off[row, column] < ALIKE * count[row, column])
+    if not more.any():
+        return shot
+    mask = shot.mask.copy()
+    mask[row[more], column[more]] = 1
+    return replace(shot, mask=mask)
+
+
 class Nearest:
     """The pixel of a mask [H, W] (not empty) that is nearest to any other."""
 
@@ -139,8 +163,9 @@ def crop(first: Shot, second: Shot) -> tuple[slice, slice] | None:
     return _wider(joined, AROUND, first.grey.shape)
 
 
-def measured(shot: Shot, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P, 3] (m) that a camera measures at pixels [P, 2] (row, column; between pixels too), and where it does [P].
+def measured(shot: Shot, at: np.ndarray, shades: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P, 3] (m) that a camera measures at pixels [P, 2] (row, column; between pixels too), and where it does [P]:
+    on the object; with `shades` [P] also where the mask may miss it, the image being as they say.
 
     The ray is that of the place, the depth that of the nearest pixel: between two of them a surface may end.
     """
@@ -148,7 +173,10 @@ def measured(shot: Shot, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     height, width = shot.grey.shape
     valid = (near >= 0).all(1) & (near[:, 0] < height) & (near[:, 1] < width)
     row, column = near.T.clip(0, [[height - 1], [width - 1]])
-    valid &= shot.inner[row, column]
+    known = shot.inner[row, column]
+    if shades is not None:
+        known |= (np.abs(shades - shot.grey[row, column]) < ALIKE) & (shot.depth[row, column] > 0)
+    valid &= known
     rays = shot.lens.rays[row, column]
     if at.dtype.kind == "f":
         rest = (at - near).astype(np.float32)
@@ -174,4 +202,3 @@ def _wider(box: tuple[int, int, int, int], by: int, shape: tuple[int, ...]) -> t
         more = max(by, (FEWEST - (last - first) + 1) // 2)
         spans.append(slice(max(0, first - more), min(end, last + more)))
     return spans[0], spans[1]
-

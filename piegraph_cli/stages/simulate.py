@@ -169,7 +169,9 @@ def _write_images(folder: Path, params: RecordingParams, seed: int) -> "dict[str
 
     cameras, truth = camera_rig(count=params.cameras), []
     environment = make_environment(params.environment, params.particles, params)
-    frames = record(environment, seed, params.strokes, cameras, load_hand(), params.modes, params.trouble, params.texture)
+    frames = record(
+        environment, seed, params.strokes, cameras, load_hand(), params.modes, params.trouble, params.texture
+    )
     for number, frame in enumerate(frames):
         for camera, color, depth, lost in zip(cameras, frame.color, frame.depth, frame.lost, strict=True):
             if not lost:

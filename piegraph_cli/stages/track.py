@@ -86,7 +86,9 @@ def run(inputs: dict[str, Any], params: TrackParams, context: Context) -> Output
         told = f"residual {tracked.residual.mean() * 1000:.1f} mm; how far off is not known: particles slide"
         return Output(arrays, f"{frames} frames, {told}", _lost(tracked))
     arrays |= {"trust/doubt": tracked.doubt, "trust/misfit": tracked.misfit}
-    quality = f"{frames} frames{', a sheet' if tracked.sheet else ''}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
+    quality = (
+        f"{frames} frames{', a sheet' if tracked.sheet else ''}, expected error {tracked.doubt.mean() * 1000:.1f} mm"
+    )
     return Output(arrays, quality, _lost(tracked) + _doubts(tracked))
 
 

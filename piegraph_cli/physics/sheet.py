@@ -22,7 +22,7 @@ GRASP, REACH = 0.018, 0.035
 """Metres seen from above within which a hand holds all layers of the sheet, and, where there is nothing, the nearest node."""
 LEAP = 0.15
 """Metres that a hand moves in a frame, beyond which it is measured wrongly."""
-AROUND, ALONG, ALONG_SHARE = 0.06, 0.02, 0.5
+AROUND, ALONG, ALONG_SHARE = 0.06, 0.03, 0.7
 """Metres about the hand in which cloth that it holds goes along, and how differently it may: metres, and share of the way."""
 DRIVEN, STIRS = 6.0, 0.004
 """Pixels by which a node's flow is sure enough to drive the cloth, and metres from which a node moves; `FEW` of them do."""
@@ -62,21 +62,22 @@ class Grip:
             self.held[:] = False
             return None
         place, before = self.hand.position[frame], self.hand.position[max(0, frame - 1)]
-        way = place - before
-        if self.held.any() and np.isfinite(way).all() and self._goes_along(way, x, flow):
-            return way
-        self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
-        return None
+        way, around = place - before, self._around(x, flow)
+        stays = bool(around.any()) and np.linalg.norm(flow.mean()[around].mean(0)) < STIRS
+        if not self.held.any() or (stays and np.linalg.norm(way) > ALONG):
+            self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
+            return None
+        if not np.isfinite(way).all() or np.linalg.norm(way) > LEAP:
+            return None
+        apart = np.linalg.norm(way - flow.mean()[around].mean(0)) if around.any() else 0.0
+        return way if apart < max(ALONG, ALONG_SHARE * float(np.linalg.norm(way))) else None
 
-    def _goes_along(self, way: np.ndarray, x: np.ndarray, flow: Sums) -> bool:
-        """Whether what is seen of the cloth around the hand, if anything, moves as the hand does."""
-        if np.linalg.norm(way) > LEAP:
-            return False
+    def _around(self, x: np.ndarray, flow: Sums) -> np.ndarray:
+        """Which nodes [N] about the hand are seen so well that they tell whether the cloth goes along; none of too few."""
+        if not self.held.any():
+            return self.held
         around = (flow.weight >= DRIVEN) & (np.linalg.norm(x - x[self.held].mean(0), axis=1) < AROUND)
-        if around.sum() < FEW:
-            return True
-        apart = np.linalg.norm(way - flow.mean()[around].mean(0))
-        return bool(apart < max(ALONG, ALONG_SHARE * float(np.linalg.norm(way))))
+        return around if around.sum() >= FEW else np.zeros(len(x), bool)
 
     @staticmethod
     def _under(place: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -159,7 +160,7 @@ class SheetFollower:
         driven = flow.weight >= DRIVEN
         stirred = int((np.linalg.norm(ways[driven], axis=1) > STIRS).sum()) >= FEW
         freed = hand is None and bool(held.any()) and self.lifted
-        self.lifted = hand is not None
+        self.lifted = hand is not None or (self.lifted and bool(self.grip.held.any()))
         self.quiet = 0 if stirred or freed or hand is not None else self.quiet + 1
         if self.quiet:
             self.velocity[:] = 0

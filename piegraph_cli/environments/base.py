@@ -6,12 +6,16 @@ No physics here: an environment gives its geometry and carries out checked strok
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import gymnasium
 import numpy as np
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PUSH, mode_word
+
+if TYPE_CHECKING:
+    from piegraph_cli.environments.render import Print
 
 FRAME_RATE = 5.0
 PUSHER_RADIUS = 0.01
@@ -82,6 +86,10 @@ class Environment(gymnasium.Env):
         modes = gymnasium.spaces.Discrete(len(self.modes), start=min(self.modes))
         self.action_space = gymnasium.spaces.Dict({"start": table, "end": table, "mode": modes})
         self.observation_space = gymnasium.spaces.Box(-_GONE, _GONE, (particles, 3), np.float32)
+
+    def printed(self, texture: Literal["faint", "print"], rng: np.random.Generator) -> "Print":
+        """The pattern of its surface in recordings. Raises UsageError for an object that has none."""
+        raise UsageError(f"{type(self).__name__} has no patterns", hint="leave simulate.texture out")
 
     def step(self, action: dict) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Carry out one stroke.

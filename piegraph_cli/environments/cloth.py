@@ -9,7 +9,7 @@ from piegraph_cli.environments.base import REACH, GoalState, Motion
 from piegraph_cli.environments.cloth_mesh import ClothMesh, square_outline, triangulate, tshirt_outline
 from piegraph_cli.environments.cloth_print import printed
 from piegraph_cli.environments.mujoco_base import MujocoEnvironment, scene, smooth_path
-from piegraph_cli.environments.params import ClothOptions, Texture
+from piegraph_cli.environments.params import ClothOptions
 from piegraph_cli.environments.render import Print
 from piegraph_cli.environments.shapes import place
 from piegraph_cli.errors import DataError
@@ -74,8 +74,8 @@ class Cloth(MujocoEnvironment):
         """The sheet's closed surface at vertices [..., V, 3] (m; by default the current ones), float32 [..., 2 V, 3] (m)."""
         return self.mesh.shell(self.nodes if shapes is None else np.asarray(shapes), _RADIUS).astype(np.float32)
 
-    def printed(self, texture: Texture, rng: np.random.Generator) -> Print | None:
-        """The pattern of its surface."""
+    def printed(self, texture: Literal["faint", "print"], rng: np.random.Generator) -> Print:
+        """The pattern of its surface in recordings."""
         return printed(texture, np.array(self.color), self.mesh.points, rng)
 
     def goal(self, rng: np.random.Generator) -> np.ndarray:

@@ -13,21 +13,28 @@ import numpy as np
 from piegraph_cli.physics.sheet_atlas import Atlas
 from piegraph_cli.physics.sheet_fit import keep_silhouette, lie_in_depth
 from piegraph_cli.physics.sheet_flow import Flow
-from piegraph_cli.physics.sheet_images import Shot
+from piegraph_cli.physics.sheet_images import Shot, completed
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import SheetMesh
-from piegraph_cli.physics.sheet_surface import Sums, Surface, visible
+from piegraph_cli.physics.sheet_surface import Sums, Surface, faces_of, shades_before, visible
 
 GRASP, REACH = 0.018, 0.035
 """Metres seen from above within which a hand holds all layers of the sheet, and, where there is nothing, the nearest node."""
+LEAP = 0.15
+"""Metres that a hand moves in a frame, beyond which it is measured wrongly."""
+AROUND, ALONG, ALONG_SHARE = 0.06, 0.03, 0.7
+"""Metres about the hand in which cloth that it holds goes along, and how differently it may: metres, and share of the way."""
+DRIVEN, STIRS = 6.0, 0.004
+"""Pixels by which a node's flow is sure enough to drive the cloth, and metres from which a node moves; `FEW` of them do."""
+FEW = 3
 SETTLING = 0.4
 """Seconds that pass for a sheet that is let go."""
+RESTING = 2
+"""Frames without motion after which the atlas takes what it has not seen yet."""
 LONGEST_STEP = 0.5
 """Seconds between two frames, at most: what moves longer comes to rest."""
 GAIN, FULL = 0.3, 6.0
 """Share of the way to its target that a node goes in each sweep, and the summed weight from which it goes all of that."""
-ATLAS = 0.3
-"""Weight of the atlas' flow beside that of depth and silhouettes."""
 AWAY = 1.0
 """Metres that no node moves in a frame: a state that does is none."""
 
@@ -38,44 +45,48 @@ class Hand:
 
     position: np.ndarray
     """[F, 3] metres, NaN where unknown."""
-    holds: np.ndarray
-    """[F] bool."""
+    near: np.ndarray
+    """[F] bool: where it is so near to the sheet that it may hold it."""
 
 
 class Grip:
-    """The nodes in the hand: a boundary condition of the cloth."""
+    """The nodes in the hand, which go where it goes as long as the cloth around them goes there too."""
 
     def __init__(self, hand: Hand | None, nodes: int):
         self.hand = hand
-        self.free = np.ones(nodes, np.float32)
-        self.offset = np.zeros((nodes, 3), np.float32)
-        self.closed = False
+        self.held = np.zeros(nodes, bool)
 
-    def carry(self, frame: int, x: np.ndarray) -> np.ndarray:
-        """Close, go on or let go: the way [N, 3] (m) of the nodes of x [N, 3] (m) that are held, 0 for the others."""
-        way = np.zeros_like(x)
-        holds = self.hand is not None and self.hand.holds[frame]
-        if self.hand is None or not holds:
-            self.closed, self.free = False, np.ones(len(x), np.float32)
-            return way
-        place = self.hand.position[frame].astype(np.float32)
-        if not np.isfinite(place).all():
-            return way
-        if not self.closed:
-            self._close(place, x)
-            return way
-        held = self.free == 0
-        way[held] = place + self.offset[held] - x[held]
-        return way
+    def carry(self, frame: int, x: np.ndarray, flow: Sums) -> np.ndarray | None:
+        """Close, go on or let go: the way [3] (m) of the nodes of x [N, 3] (m) that are held, None where there are none."""
+        if self.hand is None or not self.hand.near[frame]:
+            self.held[:] = False
+            return None
+        place, before = self.hand.position[frame], self.hand.position[max(0, frame - 1)]
+        way, around = place - before, self._around(x, flow)
+        stays = bool(around.any()) and np.linalg.norm(flow.mean()[around].mean(0)) < STIRS
+        if not self.held.any() or (stays and np.linalg.norm(way) > ALONG):
+            self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
+            return None
+        if not np.isfinite(way).all() or np.linalg.norm(way) > LEAP:
+            return None
+        apart = np.linalg.norm(way - flow.mean()[around].mean(0)) if around.any() else 0.0
+        return way if apart < max(ALONG, ALONG_SHARE * float(np.linalg.norm(way))) else None
 
-    def _close(self, place: np.ndarray, x: np.ndarray) -> None:
-        """Take what is under the hand."""
+    def _around(self, x: np.ndarray, flow: Sums) -> np.ndarray:
+        """Which nodes [N] about the hand are seen so well that they tell whether the cloth goes along; none of too few."""
+        if not self.held.any():
+            return self.held
+        around = (flow.weight >= DRIVEN) & (np.linalg.norm(x - x[self.held].mean(0), axis=1) < AROUND)
+        return around if around.sum() >= FEW else np.zeros(len(x), bool)
+
+    @staticmethod
+    def _under(place: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Which nodes [N] of x [N, 3] (m) a hand takes."""
         apart = np.linalg.norm(x[:, :2] - place[:2], axis=1)
         held = apart < GRASP
         if not held.any() and apart.min() < REACH:
             held[apart.argmin()] = True
-        self.closed, self.offset = True, x - place
-        self.free = np.where(held, 0.0, 1.0).astype(np.float32)
+        return held
 
 
 @dataclass(frozen=True)
@@ -97,7 +108,7 @@ class SheetFollower:
         """`shots` of the first frame, in which the nodes lie where the mesh has them; `time` [F] (s) of all frames."""
         self.mesh, self.cloth, self.flow, self.atlas = mesh, Cloth(mesh), Flow(), Atlas(mesh)
         self.time, self.hand, self.grip = time, hand, Grip(hand, len(mesh.points))
-        self.velocity = np.zeros_like(mesh.points)
+        self.velocity, self.quiet, self.lifted = np.zeros_like(mesh.points), 0, False
         self.shots = list(shots)
         self.state = self._state(mesh.points)
         self.atlas.fill(self.state.surfaces, self.shots)
@@ -105,53 +116,72 @@ class SheetFollower:
     def follow(self, frame: int, shots: Sequence[Shot]) -> State:
         """Move on to the next frame. No state leaves that is not finite: what failed is left out."""
         before, shots = self.state, list(shots)
-        x = self._sane(self._prior(frame, before.x), before.x)
-        flow = Sums(len(x))
+        flow = Sums(len(before.x))
         for surface, old, now in zip(before.surfaces, self.shots, shots, strict=True):
             self.flow.onwards(surface, old, now, flow)
-        x = self._sane(self._corrected(x, before.x, flow.agreed(), 1.0, self._state(x), frame, shots), x)
+        flow = flow.agreed()
+        x = self._sane(self._prior(frame, before.x, flow), before.x)
+        x = self._sane(self._corrected(x, before.x, flow, self._state(x), frame, shots), x)
+        state, flow = self._state(x), Sums(len(x))
+        for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
+            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
+            self.flow.against(surface, shades, shots[k], flow)
+        x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
             self.flow.against(surface, self.atlas.drawn(surface), now, drift)
-        x = self._sane(self._corrected(x, x, drift.agreed(), ATLAS, state, frame, shots), x)
+        x = self._sane(self._corrected(x, x, drift.agreed(), state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
-        if self._at_rest(frame):
+        if self.quiet == RESTING:
             self.atlas.fill(self.state.surfaces, shots)
         return self.state
 
+    def _carried(self, state: State) -> list[np.ndarray]:
+        """The shades [P] of the pixels of a state as the image before has them, NaN for what it does not show."""
+        faces = [faces_of(self.mesh, self.state.x, self.state.normals, shot.lens) for shot in self.shots]
+        return [
+            shades_before(surface, old, shot, corners)
+            for surface, old, shot, corners in zip(state.surfaces, self.state.surfaces, self.shots, faces, strict=True)
+        ]
+
     def skip(self, frame: int) -> State:
         """A frame in which nothing is seen of the object: only the hand moves it."""
-        self.state = self._state(self._sane(self._prior(frame, self.state.x), self.state.x))
+        nothing = Sums(len(self.state.x))
+        self.state = self._state(self._sane(self._prior(frame, self.state.x, nothing), self.state.x))
         return self.state
 
-    def _prior(self, frame: int, x: np.ndarray) -> np.ndarray:
-        """What gravity, friction and the hand make of nodes [N, 3] until this frame; at rest they stay."""
-        way, moving = self.grip.carry(frame, x), self._moving(frame)
-        if not moving:
+    def _prior(self, frame: int, x: np.ndarray, flow: Sums) -> np.ndarray:
+        """What gravity, friction, the hand and what `flow` tells of make of nodes [N, 3] until this frame.
+
+        Nodes whose flow is sure are boundary conditions, as those in the hand; at rest all stay.
+        """
+        held, ways = self.grip.held.copy(), flow.mean()
+        hand = self.grip.carry(frame, x, flow)
+        driven = flow.weight >= DRIVEN
+        stirred = int((np.linalg.norm(ways[driven], axis=1) > STIRS).sum()) >= FEW
+        freed = hand is None and bool(held.any()) and self.lifted
+        self.lifted = hand is not None or (self.lifted and bool(self.grip.held.any()))
+        self.quiet = 0 if stirred or freed or hand is not None else self.quiet + 1
+        if self.quiet:
             self.velocity[:] = 0
             return x
+        if hand is not None:
+            ways[self.grip.held] = hand
+            driven = driven | self.grip.held
+        ways[~driven] = 0
         seconds = min(LONGEST_STEP, float(self.time[frame] - self.time[frame - 1]))
-        if not self.grip.closed:
-            seconds = max(SETTLING, seconds)
-        x, self.velocity = self.cloth.fallen(x, self.velocity, self.grip.free, way, seconds)
+        seconds = max(SETTLING, seconds) if freed else seconds
+        x, self.velocity = self.cloth.fallen(x, self.velocity, ~driven, ways, seconds)
         if not np.isfinite(self.velocity).all():
             self.velocity = np.zeros_like(x)
         return x
-
-    def _moving(self, frame: int) -> bool:
-        """Whether a hand holds the sheet, or let it go just now."""
-        return self.hand is not None and bool(self.hand.holds[max(0, frame - 1) : frame + 1].any())
-
-    def _at_rest(self, frame: int) -> bool:
-        """Whether the sheet was let go a frame ago."""
-        return self.hand is not None and frame > 1 and bool(self.hand.holds[frame - 2]) and not self._moving(frame)
 
     def _state(self, x: np.ndarray) -> State:
         normals = self.mesh.normals(x)
         return State(x, normals, [visible(self.cloth, x, normals, shot.lens) for shot in self.shots])
 
     def _corrected(
-        self, x: np.ndarray, start: np.ndarray, flow: Sums, share: float, state: State, frame: int, shots: list[Shot]
+        self, x: np.ndarray, start: np.ndarray, flow: Sums, state: State, frame: int, shots: list[Shot]
     ) -> np.ndarray:
         """Nodes [N, 3] drawn to where `flow` takes them from `start` [N, 3], and to depth and silhouettes."""
         fit = Sums(len(x))
@@ -159,12 +189,12 @@ class SheetFollower:
         for surface, shot in zip(state.surfaces, shots, strict=True):
             lie_in_depth(surface, shot, fit)
             keep_silhouette(surface, shot, hand, fit)
-        flowing = share * flow.weight
+        flowing = flow.weight
         fitting = fit.weight / (1 + flow.weight)
         total = np.maximum(flowing + fitting, 1e-12)[:, None]
         target = (flowing[:, None] * (start + flow.mean()) + fitting[:, None] * (x + fit.mean())) / total
         gain = GAIN * np.minimum(1.0, (flowing + fitting) / FULL)
-        return self.cloth.corrected(x, target, gain, self.grip.free)
+        return self.cloth.corrected(x, target, gain, np.where(self.grip.held, 0.0, 1.0))
 
     @staticmethod
     def _sane(x: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -1,9 +1,8 @@
 """What depth and silhouettes ask of a sheet: to lie where the surface is measured, and nowhere where one sees past it."""
 
-import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Shot, measured
+from piegraph_cli.physics.sheet_images import Nearest, Shot, measured
 from piegraph_cli.physics.sheet_surface import Sums, Surface
 
 WEIGHT = 0.5
@@ -38,10 +37,9 @@ def keep_silhouette(surface: Surface, shot: Shot, hand: np.ndarray | None, sums:
     out = (shot.mask[row, column] == 0) & (reading > depth - BEHIND)
     if hand is not None:
         out &= ((surface.points - hand) ** 2).sum(1) > HAND**2
-    apart, nearest = _nearest(shot.mask)
     chosen = np.flatnonzero(out)
-    chosen = chosen[apart[row[chosen], column[chosen]] <= REACH]
-    to = nearest[row[chosen], column[chosen]]
+    apart, to = shot.nearest.of(row[chosen], column[chosen])
+    chosen, to = chosen[apart <= REACH], to[apart <= REACH]
     rays = shot.lens.rays
     way = (rays[to[:, 0], to[:, 1]] - rays[row[chosen], column[chosen]]) * depth[chosen, None]
     sums.add(surface.corners[chosen], WEIGHT * surface.weights[chosen], way)
@@ -51,27 +49,16 @@ def keep_silhouette(surface: Surface, shot: Shot, hand: np.ndarray | None, sums:
 def _cover(surface: Surface, shot: Shot, depth: np.ndarray, sums: Sums) -> None:
     """Pull the nearest part of the surface to where the mask shows more."""
     covered = (surface.owner >= 0).astype(np.uint8)
-    apart, nearest = _nearest(covered)
-    number = np.zeros(covered.shape, np.int32)
-    number[surface.pixels[:, 0], surface.pixels[:, 1]] = np.arange(len(surface.pixels))
-    bare = np.argwhere((shot.mask > 0) & (covered == 0) & (apart <= REACH))
+    bare = np.argwhere((shot.mask > 0) & (covered == 0))
     if len(bare) == 0:
         return
-    from_ = nearest[bare[:, 0], bare[:, 1]]
+    apart, from_ = Nearest(covered).of(*bare.T)
+    bare, from_ = bare[apart <= REACH], from_[apart <= REACH]
+    number = np.zeros(covered.shape, np.int32)
+    number[surface.pixels[:, 0], surface.pixels[:, 1]] = np.arange(len(surface.pixels))
     which = number[from_[:, 0], from_[:, 1]]
     rays = shot.lens.rays
     way = (rays[bare[:, 0], bare[:, 1]] - rays[from_[:, 0], from_[:, 1]]) * depth[which, None]
     kept = (way**2).sum(1) < LEAP**2
     which = which[kept]
     sums.add(surface.corners[which], WEIGHT * surface.weights[which], way[kept])
-
-
-def _nearest(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far each pixel is from a mask [H, W], and the row and column [H, W, 2] of its nearest pixel there."""
-    apart, label = cv2.distanceTransformWithLabels(
-        (mask == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    inside = np.argwhere(mask > 0)
-    places = np.zeros((int(label.max()) + 1, 2), np.int64)
-    places[label[inside[:, 0], inside[:, 1]]] = inside
-    return apart, places[label]

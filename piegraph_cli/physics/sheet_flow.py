@@ -27,12 +27,12 @@ class Flow:
     """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
 
     def __init__(self) -> None:
-        self.search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self.search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
 
     def between(self, first: np.ndarray, second: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P]."""
         one, two = np.ascontiguousarray(first), np.ascontiguousarray(second)
-        there, back = self.search.calc(one, two, None), self.search.calc(two, one, None)
+        there, back = (self.search.calc(a, b, np.zeros((*a.shape, 2), np.float32)) for a, b in ((one, two), (two, one)))
         step = there[pixels[:, 0], pixels[:, 1]]
         at = pixels[:, ::-1].astype(np.float32) + step
         returned = cv2.remap(back, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -48,7 +48,8 @@ class Flow:
         old, known = measured(before, at)
         known &= before.textured[at[:, 0], at[:, 1]]
         known &= ((old - surface.points) ** 2).sum(1) < NEAR**2
-        self._follow(surface, np.flatnonzero(known), (before.grey[cut], now.grey[cut], cut), old, now, LONGEST, sums)
+        images, shades = (before.grey[cut], now.grey[cut], cut), before.grey[at[:, 0], at[:, 1]].astype(np.float32)
+        self._follow(surface, np.flatnonzero(known), images, old, now, LONGEST, sums, shades)
 
     def against(self, surface: Surface, shades: np.ndarray, now: Shot, sums: Sums) -> None:
         """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known)."""
@@ -81,6 +82,7 @@ class Flow:
         now: Shot,
         longest: float,
         sums: Sums,
+        shades: np.ndarray | None = None,
     ) -> None:
         """Add the ways of the `chosen` pixels from `start` [P, 3] (m) to what is measured where flow takes them."""
         first, second, cut = images
@@ -91,7 +93,7 @@ class Flow:
         if len(chosen) < FEWEST:
             return
         to, sure = self.between(first, second, at)
-        end, seen = measured(now, to + corner.astype(np.float32))
+        end, seen = measured(now, to + corner.astype(np.float32), None if shades is None else shades[chosen])
         way = end - start[chosen]
         kept = sure & seen & ((way**2).sum(1) < longest**2)
         sums.add(surface.corners[chosen[kept]], surface.weights[chosen[kept]], way[kept])

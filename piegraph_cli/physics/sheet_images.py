@@ -1,7 +1,6 @@
 """Pictures as the tracker of a sheet reads them: where each pixel looks, what it measures, and where there is texture."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -19,15 +18,35 @@ TEXTURED = 1.0
 """Grey levels a pixel by which the image must change along its weakest direction, for flow to be more than noise."""
 AROUND = 22
 """Pixels around the masks that flow is told about."""
+ALIKE = 15.0
+"""Grey levels within which two images show the same."""
+LAYER = 0.008
+"""Metres between a surface and what is measured, within which it is measured."""
+BESIDE = 32
+"""Pixels around all that the object ever covers that are looked at."""
+FARTHEST = 20.0
+"""Metres: no camera measures beyond."""
 FEWEST = 48
 """Pixels that a crop is wide and high at least: flow is looked for in pyramids."""
 
 
 class Lens:
-    """A camera's pixels as rays in the world."""
+    """A window of a camera's pixels as rays in the world: the part in which the object ever is."""
 
-    def __init__(self, camera: Camera):
-        self.camera, self.origin = camera, camera.T_world_camera[:3, 3].astype(np.float32)
+    def __init__(self, camera: Camera, points: np.ndarray | None = None):
+        """`points` [P, 3] (m): where the object ever is; all of the image without them."""
+        window = slice(0, camera.height), slice(0, camera.width)
+        if points is not None:
+            pixels, depth = camera.project(points)
+            at = pixels[depth > 0][:, ::-1].clip(0, [camera.height - 1, camera.width - 1]).astype(int)
+            if len(at):
+                (top, left), (bottom, right) = at.min(0).tolist(), (at.max(0) + 1).tolist()
+                window = _wider((top, bottom, left, right), BESIDE, (camera.height, camera.width))
+        self.window = window
+        K = camera.K - [[0, 0, window[1].start], [0, 0, window[0].start], [0, 0, 0]]
+        height, width = (part.stop - part.start for part in window)
+        self.camera = camera = replace(camera, K=K, height=height, width=width)
+        self.origin = camera.T_world_camera[:3, 3].astype(np.float32)
         column, row = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
         rays = camera.rays(np.column_stack([column.ravel(), row.ravel()])) @ camera.T_world_camera[:3, :3].T
         self.rays = rays.astype(np.float32).reshape(camera.height, camera.width, 3)
@@ -53,7 +72,7 @@ class Shot:
     @cached_property
     def inner(self) -> np.ndarray:
         """[H, W] bool: the object, but for its border, where there is depth."""
-        return (_eroded(self.mask, EDGE) > 0) & (self.depth > 0)
+        return (_eroded(self.mask, EDGE) > 0) & (self.depth > 0) & (self.depth < FARTHEST)
 
     @cached_property
     def textured(self) -> np.ndarray:
@@ -61,9 +80,50 @@ class Shot:
         return textured(self.grey, self.mask)
 
     @cached_property
+    def nearest(self) -> "Nearest":
+        """Where the object is nearest to each pixel."""
+        return Nearest(self.mask)
+
+    @cached_property
     def box(self) -> tuple[int, int, int, int] | None:
         """First and last row and column (these left out) of the mask, None where there is none."""
         return box_of(self.mask)
+
+
+def completed(shot: Shot, pixels: np.ndarray, depth: np.ndarray, shades: np.ndarray) -> Shot:
+    """The same with a mask that has also what it missed: pixels [P, 2] where depth [P] (m) and shades [P] are as expected.
+
+    Masks of many-coloured things have holes. Where a thing is not any more its shade is not either.
+    """
+    row, column = pixels.T
+    as_deep = np.abs(shot.depth[row, column] - depth) < LAYER
+    chosen = as_deep & np.isfinite(shades) & (shot.mask[row, column] == 0)
+    off, count = np.zeros((2, *shot.mask.shape), np.float32)
+    off[row[chosen], column[chosen]] = np.abs(shades[chosen] - shot.grey[row[chosen], column[chosen]])
+    count[row[chosen], column[chosen]] = 1
+    off, count = (cv2.boxFilter(a, cv2.CV_32F, (5, 5), normalize=False) for a in (off, count))
+    more = chosen & (off[row, column] < ALIKE * count[row, column])
+    if not more.any():
+        return shot
+    mask = shot.mask.copy()
+    mask[row[more], column[more]] = 1
+    return replace(shot, mask=mask)
+
+
+class Nearest:
+    """The pixel of a mask [H, W] (not empty) that is nearest to any other."""
+
+    def __init__(self, mask: np.ndarray):
+        self.apart, self.label = cv2.distanceTransformWithLabels(
+            (mask == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        inside = np.argwhere(mask > 0)
+        self.places = np.zeros((len(inside) + 1, 2), np.int64)
+        self.places[self.label[inside[:, 0], inside[:, 1]]] = inside
+
+    def of(self, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels [P] from each place to the mask, and the row and column [P, 2] there."""
+        return self.apart[row, column], self.places[self.label[row, column]]
 
 
 def box_of(mask: np.ndarray) -> tuple[int, int, int, int] | None:
@@ -103,8 +163,9 @@ def crop(first: Shot, second: Shot) -> tuple[slice, slice] | None:
     return _wider(joined, AROUND, first.grey.shape)
 
 
-def measured(shot: Shot, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P, 3] (m) that a camera measures at pixels [P, 2] (row, column; between pixels too), and where it does [P].
+def measured(shot: Shot, at: np.ndarray, shades: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P, 3] (m) that a camera measures at pixels [P, 2] (row, column; between pixels too), and where it does [P]:
+    on the object; with `shades` [P] also where the mask may miss it, the image being as they say.
 
     The ray is that of the place, the depth that of the nearest pixel: between two of them a surface may end.
     """
@@ -112,14 +173,18 @@ def measured(shot: Shot, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     height, width = shot.grey.shape
     valid = (near >= 0).all(1) & (near[:, 0] < height) & (near[:, 1] < width)
     row, column = near.T.clip(0, [[height - 1], [width - 1]])
-    valid &= shot.inner[row, column]
+    known = shot.inner[row, column]
+    if shades is not None:
+        known |= (np.abs(shades - shot.grey[row, column]) < ALIKE) & (shot.depth[row, column] > 0)
+    valid &= known
     rays = shot.lens.rays[row, column]
     if at.dtype.kind == "f":
         rest = (at - near).astype(np.float32)
         below, beside = np.minimum(row + 1, height - 1), np.minimum(column + 1, width - 1)
         rays = rays + rest[:, :1] * (shot.lens.rays[below, column] - shot.lens.rays[row, column])
         rays += rest[:, 1:] * (shot.lens.rays[row, beside] - shot.lens.rays[row, column])
-    return shot.lens.origin + rays * shot.depth[row, column, None], valid
+    depth = np.where(valid, shot.depth[row, column], 0.0)
+    return shot.lens.origin + rays * depth[:, None], valid
 
 
 def _eroded(mask: np.ndarray, pixels: int) -> np.ndarray:
@@ -137,6 +202,3 @@ def _wider(box: tuple[int, int, int, int], by: int, shape: tuple[int, ...]) -> t
         more = max(by, (FEWEST - (last - first) + 1) // 2)
         spans.append(slice(max(0, first - more), min(end, last + more)))
     return spans[0], spans[1]
-
-
-Pictures = Callable[[int], "list[Shot]"]

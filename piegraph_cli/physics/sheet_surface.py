@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Lens
+from piegraph_cli.physics.sheet_images import Lens, Shot
 from piegraph_cli.physics.sheet_kernel import Cloth
+from piegraph_cli.physics.sheet_mesh import SheetMesh
 
+LAYER = 0.004
+"""Metres along the optical axis within which what is seen is the same layer."""
 ODD, ODDER = 0.006, 2.5
 """Metres, and times the usual difference, from the ways asked for around it beyond which a pixel's way is left out."""
 
@@ -29,18 +33,42 @@ class Surface:
     """[P] bool: whether it is the face that lay above in the first frame."""
     owner: np.ndarray
     """[H, W] triangle, -1 where none is seen."""
+    along: np.ndarray
+    """[H, W] metres to it, along the optical axis."""
 
     def depth(self, lens: Lens) -> np.ndarray:
         """[P] metres along the optical axis."""
         return (self.points - lens.origin) @ lens.camera.T_world_camera[:3, 2].astype(np.float32)
 
 
+def faces_of(mesh: SheetMesh, x: np.ndarray, normals: np.ndarray, lens: Lens) -> np.ndarray:
+    """The places [N, 3] float32 (m) of nodes x [N, 3], with normals [N, 3], on the face that is towards a camera."""
+    side = np.sign(np.einsum("nk,nk->n", normals, lens.origin - x))
+    return (x + mesh.half * side[:, None] * normals).astype(np.float32)
+
+
+def shades_before(surface: Surface, old: Surface, shot: Shot, faces: np.ndarray) -> np.ndarray:
+    """The shade [P] of each pixel's place on the sheet in the image before, NaN where another triangle hid it.
+
+    `faces` [N, 3] (m) is where the nodes were in that image, `old` what it showed.
+    """
+    place = np.einsum("pk,pkc->pc", surface.weights, faces[surface.corners])
+    projected = shot.lens.project(place)
+    at = projected[:, :2]
+    near = np.rint(at).astype(np.int32)
+    column, row = near.T.clip(0, [[shot.grey.shape[1] - 1], [shot.grey.shape[0] - 1]])
+    shown = (near == np.stack([column, row], 1)).all(1) & (shot.mask[row, column] > 0)
+    same = old.owner[row, column]
+    shown &= (same >= 0) & (np.abs(old.along[row, column] - projected[:, 2]) < LAYER)
+    shades = cv2.remap(shot.grey, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR)[:, 0].astype(np.float32)
+    return np.where(shown, shades, np.nan)
+
+
 def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lens: Lens) -> Surface:
     """What a camera sees of a sheet whose nodes are at x [N, 3] (m), with normals [N, 3]: the nearest layer at each pixel."""
     mesh, camera = cloth.mesh, lens.camera
-    side = np.sign(np.einsum("nk,nk->n", normals, lens.origin - x))
-    faces = (x + mesh.half * side[:, None] * normals).astype(np.float32)
-    owner, _, weights = cloth.seen(lens.project(faces), camera.height, camera.width)
+    faces = faces_of(mesh, x, normals, lens)
+    owner, along, weights = cloth.seen(lens.project(faces), camera.height, camera.width)
     pixels = np.argwhere(owner >= 0)
     triangle = owner[pixels[:, 0], pixels[:, 1]]
     a, b, c = (x[mesh.triangles[:, k]] for k in range(3))
@@ -49,7 +77,7 @@ def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lens: Lens) -> Sur
     front = np.einsum("tk,tk->t", normal, lens.origin - a) > 0
     corners, share = mesh.triangles[triangle], weights[pixels[:, 0], pixels[:, 1]]
     points = np.einsum("pk,pkc->pc", share, faces[corners])
-    return Surface(pixels, corners, share, points, normal[triangle].astype(np.float32), front[triangle], owner)
+    return Surface(pixels, corners, share, points, normal[triangle].astype(np.float32), front[triangle], owner, along)
 
 
 class Sums:

@@ -17,6 +17,8 @@ LOST = 0.03
 """Metres of misfit beyond the first frame's, from which the sheet is not where it was looked for."""
 SEEN = 1.0
 """Pixels that show a node, by their weights, from which it is seen."""
+SPARSE = 20
+"""Every how many points of a cloud tell in which part of the images the object is."""
 THINNED = 800
 """Points of a cloud that are compared with the nodes."""
 
@@ -40,7 +42,8 @@ def follow_sheet(
 
     Raises `DataError` for a first cloud that is no surface.
     """
-    mesh, lenses = sheet_mesh(clouds[0], particles), [Lens(view.camera) for view in views[0]]
+    mesh, everywhere = sheet_mesh(clouds[0], particles), np.concatenate([cloud[::SPARSE] for cloud in clouds])
+    lenses = [Lens(view.camera, everywhere) for view in views[0]]
     follower = SheetFollower(mesh, _shots(views[0], lenses), time, hand)
     first = _seen(follower.state)
     usual, found = 0.0, []
@@ -62,9 +65,9 @@ def _shots(views: Sequence[View], lenses: list[Lens]) -> list[Shot]:
     shots = []
     for view, lens in zip(views, lenses, strict=True):
         assert view.image is not None
-        grey = cv2.cvtColor(view.image(), cv2.COLOR_RGB2GRAY)
-        depth = view.depth.astype(np.float32) * np.float32(view.camera.depth_scale)
-        shots.append(Shot(lens, grey, depth, view.mask.astype(np.uint8)))
+        grey = np.ascontiguousarray(cv2.cvtColor(view.image(), cv2.COLOR_RGB2GRAY)[lens.window])
+        depth = view.depth[lens.window].astype(np.float32) * np.float32(view.camera.depth_scale)
+        shots.append(Shot(lens, grey, depth, view.mask[lens.window].astype(np.uint8)))
     return shots
 
 

@@ -23,6 +23,7 @@ from piegraph_cli.physics.trust import expected_error
 from piegraph_cli.physics.visibility import View
 
 LEAST_RADIUS = 0.03  # metres, of the springs
+HOLDS = 0.045  # metres between a hand as it is measured and the sheet that it holds
 RATE = 5.0  # frames a second, where no times are told
 
 
@@ -83,7 +84,7 @@ def track(
     sheet = taken_for_sheet(clouds[0], views[0], params)
     if sheet:
         time = np.arange(len(clouds)) / RATE if time is None else time
-        frames = _sheet(clouds, views, time, params, _holding(hand, grasp), progress)
+        frames = _sheet(clouds, views, time, params, _near(clouds, hand), progress)
     else:
         with torch.inference_mode():
             frames = _solid(clouds, views, params, hand, grasp, progress)
@@ -141,11 +142,16 @@ def _sheet(
         raise DataError(error.message, where=error.where or "frame 0", hint=error.hint) from None
 
 
-def _holding(hand: np.ndarray | None, grasp: np.ndarray | None) -> Hand | None:
-    """The hand of picks; what it holds falls in the last frame of a grasp."""
-    if hand is None or grasp is None:
+def _near(clouds: Sequence[np.ndarray], hand: np.ndarray | None) -> Hand | None:
+    """The hand of picks, and where it is so near to the cloud that it may hold the object."""
+    if hand is None:
         return None
-    return Hand(hand, grasp & np.append(grasp[1:], False))
+    known = [bool(len(cloud)) and bool(np.isfinite(place).all()) for cloud, place in zip(clouds, hand, strict=True)]
+    apart = [
+        cKDTree(cloud).query(place)[0] if seen else np.inf
+        for cloud, place, seen in zip(clouds, hand, known, strict=True)
+    ]
+    return Hand(hand, np.array(apart) < HOLDS)
 
 
 def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams, upright: bool) -> Follower:

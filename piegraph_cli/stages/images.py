@@ -1,7 +1,7 @@
 """What stages read of a frames artifact: its cameras, images and workspace."""
 
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,7 +55,7 @@ class Views(Sequence["list[View]"]):
     """Per frame what each camera sees, decoded when it is asked for."""
 
     def __init__(self, frames: Artifact, masks: Artifact):
-        self.cameras, self.depth, self.color = cameras_of(frames), depth_of(frames), color_of(frames)
+        self.cameras, self.depth, self._frames = cameras_of(frames), depth_of(frames), frames
         self.mask = ImageStack(masks["mask"], masks["mask_offsets"], len(self.cameras), "mask")
         self.frames = len(frames["time"])
 
@@ -66,6 +66,13 @@ class Views(Sequence["list[View]"]):
         from piegraph_cli.physics.visibility import View
 
         return [
-            View(camera, self.depth.depth(frame, c), self.mask.mask(frame, c), partial(self.color.color, frame, c))
+            View(camera, self.depth.depth(frame, c), self.mask.mask(frame, c), partial(self._image, frame, c))
             for c, camera in enumerate(self.cameras)
         ]
+
+    @cached_property
+    def _color(self) -> ImageStack:
+        return color_of(self._frames)
+
+    def _image(self, frame: int, camera: int) -> np.ndarray:
+        return self._color.color(frame, camera)

@@ -2,10 +2,12 @@
 
 import math
 import warnings
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 pytest.importorskip("embreex", reason="the `sim` extra is not installed: pip install 'piegraph[sim]'")
 
@@ -14,7 +16,9 @@ from block_distance import distance_to_block, distance_to_surface
 from piegraph_cli import environments
 from piegraph_cli.environments import hand as hands
 from piegraph_cli.environments import noise
+from piegraph_cli.environments.cloth_print import printed
 from piegraph_cli.environments.hand_motion import Grip, arm_at, choose_grip, held
+from piegraph_cli.environments.params import RecordingParams
 from piegraph_cli.environments.render import HAND, OBJECT, TABLE, Part, Renderer, Solid, wood_texture
 from piegraph_cli.environments.rig import camera_rig
 from piegraph_cli.errors import DataError, MissingError
@@ -54,6 +58,36 @@ def test_masked_depth_lies_on_the_block(env):
         assert distance_to_surface(env, pose, points).max() < 1e-3
         row, column = np.nonzero(view.label == TABLE)
         assert np.abs(camera.unproject(np.column_stack([column, row]), view.depth[row, column])[:, 2]).max() < 1e-4
+
+
+def sheet_seen(print):
+    """Colours of a square's pixels, seen from above at an angle."""
+    corners = np.array([[-0.1, -0.1, 0.005], [0.1, -0.1, 0.005], [0.1, 0.1, 0.005], [-0.1, 0.1, 0.005]])
+    part = Part(corners, np.array([[0, 1, 2], [0, 2, 3]]), OBJECT, np.array([[0.3, 0.1, 0.2]]), print=print)
+    [view] = Renderer(camera_rig(160, 120)[:1]).render([part])
+    return view.color[view.label == OBJECT]
+
+
+@pytest.mark.parametrize(("texture", "least"), [("faint", 0.012), ("print", 0.08)])
+def test_a_pattern_is_fixed_to_the_cloth_and_weaker_on_its_back(texture, least):
+    corners, base = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]), np.array([0.3, 0.1, 0.2])
+    one, again, other = (printed(texture, base, corners, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    front, back = (replace(one, coordinates=one.coordinates[faces]) for faces in (slice(4), slice(4, 8)))
+    seen = sheet_seen(front)
+    np.testing.assert_array_equal(seen, sheet_seen(replace(again, coordinates=again.coordinates[:4])))
+    assert np.abs(seen - sheet_seen(replace(other, coordinates=other.coordinates[:4]))).mean() > least / 2
+    plain, turned = sheet_seen(None), sheet_seen(back)
+    assert seen.std(0).max() > least + plain.std(0).max()
+    assert plain.std(0).max() < turned.std(0).max() < 0.8 * seen.std(0).max()
+    assert one.image.min() > 0
+
+
+def test_a_pattern_is_for_cloths_alone():
+    assert RecordingParams(environment="cloth", texture="print").texture == "print"
+    with pytest.raises(ValidationError, match="tblock has no pattern"):
+        RecordingParams(environment="tblock", texture="faint")
+    assert RecordingParams().content() == RecordingParams(texture="plain").content()
+    assert "texture" not in RecordingParams().content()
 
 
 def test_a_block_darkens_the_table_beside_it_only(env):

@@ -27,7 +27,7 @@ CHANGES = {
     "scales": (0.015, 0.01),
     "points": 90,
 }
-OF_THE_STAGE = {"mode"}
+OF_THE_STAGE = {"mode", "object"}
 
 
 def clouds(frames: int = 3) -> list[np.ndarray]:

@@ -65,7 +65,7 @@ def test_an_episode_knows_of_the_object_what_cameras_show_and_nothing_else(block
 
 def test_goal_and_states_are_clouds_and_the_truth_is_kept_beside_them(block):
     found = play(block)
-    assert found.metric == "emd"
+    assert found.metric == "distance", "its shape is found in the cloud of the goal"
     assert len(found.goal) == 2000
     assert off(found.goal, found.copies[0]) < 0.01
     assert len(found.true) == len(found.steps) + 1 == 2

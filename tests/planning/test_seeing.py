@@ -170,6 +170,10 @@ def test_an_arm_that_stays_over_the_object_is_left_out(block):
 def test_goals_that_cannot_be_this_objects_are_refused(block, sizes):
     cloud = look(*Sight(block).shoot()).cloud
     require_goal(cloud + np.array([0.1, 0, 0], np.float32), cloud, 50, sizes.sizes)
+    top = cloud[cloud[:, 2] > 0.03]
+    require_goal(np.concatenate([top, top + np.float32([0.001, 0, 0])]), cloud, 50, None)
+    with pytest.raises(DataError, match="the goal lies 30 mm below the table"):
+        require_goal(cloud - np.float32([0, 0, 0.03]), cloud, 50, None)
     with pytest.raises(DataError, match="the goal lies 30 mm above the table"):
         require_goal(cloud + np.array([0, 0, 0.03], np.float32), cloud, 50, sizes.sizes)
     with pytest.raises(DataError, match=r"the goal is no cloud of this object: it is 10\.\d"):

@@ -4,6 +4,8 @@ A look judges its own cloud (`perception.judgement`); here the same size check i
 arrays, where no image tells what else is in them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -14,6 +16,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.perception.size import UNLIKE, check_size
 from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
 from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.recording.camera import Camera
 
 CELL = 0.01
 """Metres: side of the squares of the table by which areas are compared."""
@@ -83,17 +86,20 @@ def require_level(goal: np.ndarray, cloud: np.ndarray) -> None:
     raise DataError(text, "the goal", "look at object and goal on one table, with one calibration")
 
 
-def require_goal(goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes | None) -> None:
+def require_goal(
+    goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes | None, cameras: Sequence[Camera] = ()
+) -> None:
     """Raise `DataError`, with what differs, for a goal cloud [G, 3] (m) that the object of a cloud [P, 3] (m) cannot be.
 
-    Of another size than a trained object's `sizes`; of other spacing, where nothing was trained; or on another table.
+    Of another size than a trained object's `sizes`, as `cameras` see it; of other spacing, where nothing was trained; or on
+    another table.
     """
     require_level(goal, cloud)
     if len(goal) < count:
         return
     there = size_of(choose_particles(goal, count))
     if sizes is not None:
-        check = check_size(there, sizes, ())
+        check = check_size(there, sizes, cameras)
         if check.verdict == "bad":
             raise DataError(f"the goal is no cloud of this object: {check.text}", "the goal", UNLIKE_REMEDY)
         return

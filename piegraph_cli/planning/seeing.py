@@ -61,7 +61,7 @@ def play_seen(
     first, scene = eyes.see(sight.shoot)
     if there is None:
         there = wanted(trained, params, first.cloud, first.particles, None).points
-    require_goal(there, first.cloud, eyes.settings.particles, eyes.settings.sizes)
+    require_goal(there, first.cloud, eyes.settings.particles, eyes.settings.sizes, scene.cameras)
     loop = _Loop(environment, sight, eyes, within(params, environment.walls), trained, there, device)
     loop.seed, loop.tool = [params.seed, 2, start, goal], tool_of(environment)
     if params.keep == "track":

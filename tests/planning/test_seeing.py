@@ -12,7 +12,7 @@ from piegraph_cli.environments.trouble import Cover
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.evaluation.metrics import nearest_distance
 from piegraph_cli.perception.look import LookSettings, look
-from piegraph_cli.physics.particles import Sizes
+from piegraph_cli.physics.particles import Sizes, size_of
 from piegraph_cli.planning.expected import require_goal
 from piegraph_cli.planning.eyes import Eyes, Near, Unseen
 from piegraph_cli.planning.params import PlanParams
@@ -198,6 +198,16 @@ def test_cameras_may_be_few_noisy_and_elsewhere(block):
     clear, noisy = (Sight(block, SightParams(cameras=1, noise=noise)).shoot().depth[0] for noise in (0.0, 2.0))
     both = (clear > 0) & (noisy > 0)
     assert np.abs(clear[both].astype(int) - noisy[both]).mean() > 1
+
+
+def test_one_camera_sees_one_side_of_a_thing_that_is_no_smaller_for_that():
+    toy = make("toy")
+    toy.reset(options={"pose": [0.0, 0.0, 2.2]})
+    sizes = Sizes.of([toy.particles()])
+    seen = Eyes(LookSettings(sizes=sizes)).see(Sight(toy, SightParams(cameras=1)).shoot)[0]
+    size = size_of(seen.particles)
+    assert sizes.apart(size)["width"] > 1.2
+    assert sizes.apart(size, one_side=True)["width"] < 1.2
 
 
 def test_particles_are_put_in_the_order_of_the_nearest_state():

@@ -142,7 +142,8 @@ class _Loop:
         places = places_along(self.line, self.seen.cloud, self.positions)
         if places is not None:
             return Goal(self.there, places)
-        return Goal.of_cloud(self.there, self.seen.cloud, self.positions)
+        sizes = self.eyes.settings.sizes
+        return Goal.of_cloud(self.there, self.seen.cloud, self.positions, sizes is not None and not sizes.bends)
 
     def _plan(self, positions: torch.Tensor, tried: Sequence[Tried]) -> Plan | None:
         self.expected = self._search(positions, tried)

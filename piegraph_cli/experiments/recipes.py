@@ -184,6 +184,6 @@ def trial_recipe(params: ExperimentParams, environment: str, folder: Path) -> Re
     values = params.trials.model_dump(mode="json", exclude={"tasks"}) | {
         "envs": params.tasks(environment),
         "models": params.trial_labels(environment),
-        "trained": str(folder.resolve() / params.run_name(ENVIRONMENT)),
+        "trained": str(folder.resolve() / (params.run_name(ENVIRONMENT) if params.recordings else "")),
     }
     return Recipe(STAGES).with_values(STAGES["trials"], values, "experiment", Path.cwd())

@@ -254,7 +254,7 @@ class _Finder:
         if self.settings.sizes is None or len(cloud) < self.settings.particles:
             return False
         size = size_of(choose_particles(cloud, self.settings.particles))
-        return max(self.settings.sizes.apart(size).values()) <= FITS
+        return max(self.settings.sizes.apart(size, one_side=len(self.cameras) == 1).values()) <= FITS
 
     def _box(self, masks: Sequence[np.ndarray]) -> dict[str, tuple[float, float, float, float]]:
         """The prompt for a thing: its box in the camera that sees it best."""

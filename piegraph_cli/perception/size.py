@@ -13,7 +13,7 @@ UNLIKE = (1.2, 1.35)
 def check_size(size: Size, trained: Sizes, cameras: Sequence[Camera]) -> Check:
     """Whether the object is as large as the one that the model was trained on."""
     who = tuple(k.name for k in cameras)
-    apart = trained.apart(size)
+    apart = trained.apart(size, one_side=len(cameras) == 1)
     worst = max(apart, key=lambda name: apart[name])
     verdict = judged(apart[worst], *UNLIKE)
     seen = f"{_span(size.length)} × {_span(size.width)} cm, {_span(size.height)} high, particles {_span(size.spacing)} apart"

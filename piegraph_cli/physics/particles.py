@@ -113,8 +113,10 @@ class Sizes:
         """Whether the object has been longer or wider at one time than at another."""
         return self.most.length > BENDS * self.least.length or self.most.width > BENDS * self.least.width
 
-    def apart(self, size: Size) -> dict[str, float]:
+    def apart(self, size: Size, one_side: bool = False) -> dict[str, float]:
         """By which factor a size lies beyond what was seen, 1 for what lies within, for each measure.
+
+        From `one_side` alone, as one camera sees it, an object is also less long and wide.
 
         What bends may become smaller and higher than it was seen, and as wide as it is long, but never longer. Particles of a
         simulated rope lie in its middle, one behind the other; those of a cloud lie around it.
@@ -127,6 +129,8 @@ class Sizes:
         if line:
             most["height"], most["spacing"] = 2 * self.most.height, float(np.hypot(most["spacing"], 2 * THICKNESS))
         least["spacing"] /= ONE_SIDE
+        if one_side:
+            least |= {name: least[name] / ONE_SIDE for name in ("length", "width")}
         found = {}
         for name, value in vars(size).items():
             more = THICKNESS if name in ("height", "width") else 0.0  # of flat and narrow things noise is a large share

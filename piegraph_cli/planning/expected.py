@@ -4,6 +4,8 @@ A look judges its own cloud (`perception.judgement`); here the same size check i
 arrays, where no image tells what else is in them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -14,6 +16,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.perception.size import UNLIKE, check_size
 from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
 from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.recording.camera import Camera
 
 CELL = 0.01
 """Metres: side of the squares of the table by which areas are compared."""
@@ -29,8 +32,8 @@ ABOVE = 0.03
 """Metres above one and a half times the trained object's height from which something else stands there."""
 OTHER = 0.15
 """Share of the points from which what lies apart is another thing, no stray points."""
-LOWEST, LIFTED = 5, 0.012
-"""Percentile of a cloud's heights that tells where it lies, and how far (m) it may lie from the table of another."""
+HEIGHTS, LIFTED = (5, 95), 0.012
+"""Percentiles of a cloud's heights, and how far (m) both may lie from those of another on the same table."""
 FOLDED = 1.65
 """Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
 
@@ -70,21 +73,33 @@ def check_goal(goal: np.ndarray, count: int, sizes: Sizes) -> list[str]:
     return [f"the goal: {text}" for text in said]
 
 
-def require_goal(goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes | None) -> None:
+def require_level(goal: np.ndarray, cloud: np.ndarray) -> None:
+    """Raise `DataError` for a goal cloud [G, 3] (m) on another table than the object of a cloud [P, 3] (m)."""
+    low, high = np.percentile(goal[:, 2], HEIGHTS) - np.percentile(cloud[:, 2], HEIGHTS)
+    lift = float(
+        min(low, high) if low > 0 else max(low, high)
+    )  # an object that is higher or seen from above is not lifted
+    if abs(lift) <= LIFTED or low * high < 0:
+        return
+    side = "above" if lift > 0 else "below"
+    text = f"the goal lies {abs(lift) * 1000:.0f} mm {side} the table that the object lies on"
+    raise DataError(text, "the goal", "look at object and goal on one table, with one calibration")
+
+
+def require_goal(
+    goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes | None, cameras: Sequence[Camera] = ()
+) -> None:
     """Raise `DataError`, with what differs, for a goal cloud [G, 3] (m) that the object of a cloud [P, 3] (m) cannot be.
 
-    Of another size than a trained object's `sizes`; of other spacing, where nothing was trained; or on another table.
+    Of another size than a trained object's `sizes`, as `cameras` see it; of other spacing, where nothing was trained; or on
+    another table.
     """
-    lift = float(np.percentile(goal[:, 2], LOWEST) - np.percentile(cloud[:, 2], LOWEST))
-    if abs(lift) > LIFTED:
-        side = "above" if lift > 0 else "below"
-        text = f"the goal lies {abs(lift) * 1000:.0f} mm {side} the table that the object lies on"
-        raise DataError(text, "the goal", "look at object and goal on one table, with one calibration")
+    require_level(goal, cloud)
     if len(goal) < count:
         return
     there = size_of(choose_particles(goal, count))
     if sizes is not None:
-        check = check_size(there, sizes, ())
+        check = check_size(there, sizes, cameras)
         if check.verdict == "bad":
             raise DataError(f"the goal is no cloud of this object: {check.text}", "the goal", UNLIKE_REMEDY)
         return

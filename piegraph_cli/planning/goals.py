@@ -44,18 +44,19 @@ class Goal:
         return cls(particles, particles[None])
 
     @classmethod
-    def of_cloud(cls, goal: np.ndarray, cloud: np.ndarray, particles: np.ndarray) -> "Goal":
+    def of_cloud(cls, goal: np.ndarray, cloud: np.ndarray, particles: np.ndarray, rigid: bool = False) -> "Goal":
         """A goal cloud [G, 3] for an object that is seen as `cloud` [P, 3] now, with `particles` [N, 3] (m).
 
         Where the goal shows the very shape of now, moved, the particles are known in it: in several poses, if the object is
-        symmetric. Where it is bent otherwise they are not.
+        symmetric. Where it is bent otherwise they are not; but what is `rigid` is then taken to lie where it fits best, for
+        cameras on one side see other parts of it here than there.
         """
         goal = thinned(goal, GOAL_POINTS).astype(np.float32)
         cloud = thinned(cloud, GOAL_POINTS).astype(np.float32)
         grain = _grain(goal)
         # halves are sparser than wholes: so near should the whole clouds be, points at random on one surface
         expected = grain * (np.sqrt(1 / 2) + np.sqrt(len(goal) / 2 / len(cloud))) / 2
-        moved = _places(cloud, goal, np.asarray(particles, np.float32), grain, float(expected))
+        moved = _places(cloud, goal, np.asarray(particles, np.float32), grain, float(expected), rigid)
         return cls(goal, moved if len(moved) else None)
 
     @classmethod
@@ -108,8 +109,12 @@ def _grain(goal: np.ndarray) -> float:
     return chamfer(goal[half[::2]], goal[half[1::2]]) if len(goal) > 3 else 0.0
 
 
-def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: float, expected: float) -> np.ndarray:
+def _places(
+    cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: float, expected: float, rigid: bool = False
+) -> np.ndarray:
     """The particles [K, N, 3] in each place in which the cloud [P, 3] lies on the goal [G, 3]; none where it does not.
+
+    What is `rigid` lies where it does best.
 
     `grain` (m) says how coarse the goal is, `expected` (m) which chamfer distance these clouds have where one lies on the
     other.
@@ -134,6 +139,8 @@ def _places(cloud: np.ndarray, goal: np.ndarray, particles: np.ndarray, grain: f
         for apart, placed in found
         if apart <= min(SAME_SHAPE * grain + MARGIN, AS_GOOD * max(expected, found[0][0]))
     ]
+    if rigid and not good:
+        good = [found[0][1]]
     return np.array(_distinct(good), np.float32).reshape(-1, *particles.shape)
 
 

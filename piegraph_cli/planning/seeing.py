@@ -61,7 +61,7 @@ def play_seen(
     first, scene = eyes.see(sight.shoot)
     if there is None:
         there = wanted(trained, params, first.cloud, first.particles, None).points
-    require_goal(there, first.cloud, eyes.settings.particles, eyes.settings.sizes)
+    require_goal(there, first.cloud, eyes.settings.particles, eyes.settings.sizes, scene.cameras)
     loop = _Loop(environment, sight, eyes, within(params, environment.walls), trained, there, device)
     loop.seed, loop.tool = [params.seed, 2, start, goal], tool_of(environment)
     if params.keep == "track":
@@ -142,7 +142,8 @@ class _Loop:
         places = places_along(self.line, self.seen.cloud, self.positions)
         if places is not None:
             return Goal(self.there, places)
-        return Goal.of_cloud(self.there, self.seen.cloud, self.positions)
+        sizes = self.eyes.settings.sizes
+        return Goal.of_cloud(self.there, self.seen.cloud, self.positions, sizes is not None and not sizes.bends)
 
     def _plan(self, positions: torch.Tensor, tried: Sequence[Tried]) -> Plan | None:
         self.expected = self._search(positions, tried)

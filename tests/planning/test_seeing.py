@@ -12,7 +12,7 @@ from piegraph_cli.environments.trouble import Cover
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.evaluation.metrics import nearest_distance
 from piegraph_cli.perception.look import LookSettings, look
-from piegraph_cli.physics.particles import Sizes
+from piegraph_cli.physics.particles import Sizes, size_of
 from piegraph_cli.planning.expected import require_goal
 from piegraph_cli.planning.eyes import Eyes, Near, Unseen
 from piegraph_cli.planning.params import PlanParams
@@ -65,7 +65,7 @@ def test_an_episode_knows_of_the_object_what_cameras_show_and_nothing_else(block
 
 def test_goal_and_states_are_clouds_and_the_truth_is_kept_beside_them(block):
     found = play(block)
-    assert found.metric == "emd"
+    assert found.metric == "distance", "its shape is found in the cloud of the goal"
     assert len(found.goal) == 2000
     assert off(found.goal, found.copies[0]) < 0.01
     assert len(found.true) == len(found.steps) + 1 == 2
@@ -170,6 +170,10 @@ def test_an_arm_that_stays_over_the_object_is_left_out(block):
 def test_goals_that_cannot_be_this_objects_are_refused(block, sizes):
     cloud = look(*Sight(block).shoot()).cloud
     require_goal(cloud + np.array([0.1, 0, 0], np.float32), cloud, 50, sizes.sizes)
+    top = cloud[cloud[:, 2] > 0.03]
+    require_goal(np.concatenate([top, top + np.float32([0.001, 0, 0])]), cloud, 50, None)
+    with pytest.raises(DataError, match="the goal lies 30 mm below the table"):
+        require_goal(cloud - np.float32([0, 0, 0.03]), cloud, 50, None)
     with pytest.raises(DataError, match="the goal lies 30 mm above the table"):
         require_goal(cloud + np.array([0, 0, 0.03], np.float32), cloud, 50, sizes.sizes)
     with pytest.raises(DataError, match=r"the goal is no cloud of this object: it is 10\.\d"):
@@ -194,6 +198,16 @@ def test_cameras_may_be_few_noisy_and_elsewhere(block):
     clear, noisy = (Sight(block, SightParams(cameras=1, noise=noise)).shoot().depth[0] for noise in (0.0, 2.0))
     both = (clear > 0) & (noisy > 0)
     assert np.abs(clear[both].astype(int) - noisy[both]).mean() > 1
+
+
+def test_one_camera_sees_one_side_of_a_thing_that_is_no_smaller_for_that():
+    toy = make("toy")
+    toy.reset(options={"pose": [0.0, 0.0, 2.2]})
+    sizes = Sizes.of([toy.particles()])
+    seen = Eyes(LookSettings(sizes=sizes)).see(Sight(toy, SightParams(cameras=1)).shoot)[0]
+    size = size_of(seen.particles)
+    assert sizes.apart(size)["width"] > 1.2
+    assert sizes.apart(size, one_side=True)["width"] < 1.2
 
 
 def test_particles_are_put_in_the_order_of_the_nearest_state():

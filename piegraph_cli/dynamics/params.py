@@ -362,7 +362,7 @@ class PretrainParams(Params):
 
     family: Family = Field("blocks", description="kind of object that it is for")
     seed: int = Field(0, ge=0, description="seed of weights, objects and strokes")
-    steps: int = Field(32_000, ge=1, description="training steps")
+    steps: int = Field(16_000, ge=1, description="training steps")
     batch: int = Field(16, ge=1, le=1024, description="strokes per step")
     learning_rate: float = Field(3e-3, gt=0, description="learning rate at the start of the cosine")
     clip: float = Field(1.0, gt=0, description="largest gradient norm")

@@ -28,12 +28,14 @@ KNOWN = (0.25, 0.1, 0.15)
 """Deviations of the logarithms of friction, turning length and reach in these, where there are strokes to fit them to."""
 UNKNOWN = (FRICTION[1], PRESSURE[1], REACH[1])
 """The same without any stroke."""
-REAL = 6
-"""Examples of a batch that are real, at most one for each."""
+REAL = 3
+"""Examples of a batch that are real, where there are any."""
 SHAPES = 4
 """Sequences whose particles are used in simulated strokes, at most."""
 HELD = 4
 """Every so many strokes one is left out to choose the number of steps by, where there are twice as many."""
+GAIN = 0.1
+"""Share by which fewer steps have to be better than all, on strokes that were left out: a few strokes tell no less."""
 BENT, SHARE = 0.005, 0.2
 """Metres from a rigid motion, and share of the motion, above which a thing bends."""
 
@@ -115,13 +117,14 @@ def own_strokes(body: RigidBody, data: Sequences, neighbors: int, seed: int) -> 
     """Strokes of a body simulated, with the particles that its sequences have."""
     rng = np.random.default_rng([seed, len(data.strokes)])
     chosen = np.unique(np.linspace(0, len(data.rest) - 1, SHAPES).astype(int))
+    like = data.whole().length.numpy() if len(data.strokes) else None
     drawn = []
     for rest in data.rest[chosen]:
         pose = body_frame(rest, body.shape.numpy())
         own = moved_in_plane(rest[:, :2] - pose[:2], np.array([0.0, 0.0, -pose[2]]))
         spread = KNOWN if len(data.strokes) else UNKNOWN
         particles = np.concatenate([own, rest[:, 2:]], 1)
-        drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen)))
+        drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen), like))
     return Chunk.of(drawn, neighbors)
 
 
@@ -144,7 +147,7 @@ def told(prior: Prior, traits: Tensor) -> EGNN:
 
 
 def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) -> int:
-    """How many steps are best where every few strokes one is left out; all where there are too few to leave any out."""
+    """How many steps to learn for: fewer than all only where that is clearly better on strokes that are left out."""
     count = len(data.strokes)
     if count < 2 * HELD:
         return settings.steps
@@ -157,7 +160,8 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
         if trainer.done % every == 0:
             trainer.record()
     losses = {step: loss for step, _, loss in trainer.history}
-    return min(losses, key=lambda step: losses[step])
+    best = min(losses, key=lambda step: losses[step])
+    return best if losses[best] < (1 - GAIN) * losses[trainer.done] else settings.steps
 
 
 def start_tuning(prior: Prior, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int) -> Trainer:

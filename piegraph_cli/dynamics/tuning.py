@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import EGNN
@@ -92,7 +93,9 @@ def check_block(data: Sequences) -> None:
         return
     bent = float(np.median(planar_residuals(before[moved], after[moved])))
     if bent > max(BENT, SHARE * float(np.median(motion[moved]))):
-        raise DataError(f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends; {hint[24:]}", hint=hint)
+        raise DataError(
+            f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends; the prior is for blocks", hint=hint
+        )
 
 
 def unseen(data: Sequences) -> Sequences:
@@ -117,7 +120,7 @@ def own_strokes(body: RigidBody, data: Sequences, neighbors: int, seed: int) -> 
     """Strokes of a body simulated, with the particles that its sequences have."""
     rng = np.random.default_rng([seed, len(data.strokes)])
     chosen = np.unique(np.linspace(0, len(data.rest) - 1, SHAPES).astype(int))
-    like = data.whole().length.numpy() if len(data.strokes) else None
+    like = _parts(data, float(body.numbers[2])) if len(data.strokes) else None
     drawn = []
     for rest in data.rest[chosen]:
         pose = body_frame(rest, body.shape.numpy())
@@ -126,6 +129,18 @@ def own_strokes(body: RigidBody, data: Sequences, neighbors: int, seed: int) -> 
         particles = np.concatenate([own, rest[:, 2:]], 1)
         drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen), like))
     return Chunk.of(drawn, neighbors)
+
+
+def _parts(data: Sequences, reach: float) -> np.ndarray:
+    """How far the strokes [S, 2] (m) go before they come near the object, and from there on."""
+    strokes, before = data.whole(), torch.as_tensor(data.positions[data.strokes[:, 0]])
+    relative = ((before[..., :2] - strokes.start[:, None]) @ strokes.rotation).double()
+    spacing = float(np.median(cKDTree(data.rest[0]).query(data.rest[0], k=2)[0][:, 1]))
+    near = reach + spacing / 2
+    ahead, aside = relative.unbind(-1)
+    touch = torch.where(aside.abs() < near, ahead - (near**2 - aside**2).clamp_min(0).sqrt(), torch.inf).amin(1)
+    free = torch.minimum(touch.clamp_min(0), strokes.length)
+    return torch.stack([free, strokes.length - free], 1).numpy()
 
 
 def traits_of(body: RigidBody) -> Tensor:

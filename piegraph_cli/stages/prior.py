@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.artifact import Artifact
 
 HINT = "--from prior, the one that is shipped, or a file of piegraph pretrain"
-TUNING: dict[str, Any] = {"steps": 800, "learning_rate": 1e-3, "batch": 16, "cycles": 1, "clip": 1.0}
+TUNING: dict[str, Any] = {"steps": 600, "learning_rate": 1e-3, "batch": 16, "cycles": 1, "clip": 1.0}
 """How a prior learns from a recording; the steps are the most."""
 KEPT_EVERY = 500
 """Steps between checkpoints."""

@@ -8,7 +8,7 @@ import typer
 
 from piegraph_cli.commands.options import AsJson
 from piegraph_cli.commands.output import Report, emit
-from piegraph_cli.dynamics.params import Family, PretrainParams
+from piegraph_cli.dynamics.family.params import Family, PretrainParams
 from piegraph_cli.errors import UsageError
 from piegraph_cli.params import validated
 from piegraph_cli.text import Line, counted

@@ -157,7 +157,7 @@ def told(prior: Prior, traits: Tensor) -> EGNN:
     """The prior's network, for objects with these traits [TRAITS]: what it takes is what any of piegraph's networks takes."""
     network = copy.deepcopy(prior.network)
     with torch.no_grad():
-        network.embed.bias += prior.traits.weight @ traits
+        network.embed.bias.add_(prior.traits.weight @ traits)
     return network
 
 

@@ -9,8 +9,9 @@ import torch
 
 from piegraph_cli.dynamics.egnn import Rest
 from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.family.params import PretrainParams
 from piegraph_cli.dynamics.models import make_network
-from piegraph_cli.dynamics.params import SHIPPED_PRIOR, EGNNParams, ModelParams, PretrainParams, TrainParams
+from piegraph_cli.dynamics.params import SHIPPED_PRIOR, EGNNParams, ModelParams, TrainParams
 from piegraph_cli.dynamics.prior import Pretraining, make_prior
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.dynamics.tuning import (

@@ -33,8 +33,8 @@ REAL = 3
 """Examples of a batch that are real, where there are any."""
 SHAPES = 4
 """Sequences whose particles are used in simulated strokes, at most."""
-HELD = 4
-"""Every so many strokes one is left out to choose the number of steps by, where there are twice as many."""
+HELD, ENOUGH = 4, 20
+"""Every so many strokes one is left out to choose the number of steps by, where there are enough: two tell nothing."""
 GAIN = 0.1
 """Share by which fewer steps have to be better than all, on strokes that were left out: a few strokes tell no less."""
 BENT, SHARE = 0.005, 0.2
@@ -164,7 +164,7 @@ def told(prior: Prior, traits: Tensor) -> EGNN:
 def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) -> int:
     """How many steps to learn for: fewer than all only where that is clearly better on strokes that are left out."""
     count = len(data.strokes)
-    if count < 2 * HELD:
+    if count < ENOUGH:
         return settings.steps
     held = np.random.default_rng(seed).permutation(count) % HELD == 0
     kept, left = (_some(data, chosen) for chosen in (~held, held))

@@ -97,9 +97,9 @@ def test_simulated_strokes_are_of_the_object_and_as_long_as_the_recordings():
 
 
 def test_fewer_steps_are_taken_only_with_strokes_to_choose_them_by(prior):
-    assert tuned_steps(prior, pushed(NUMBERS, 3), SETTINGS, 0) == SETTINGS.steps
+    assert tuned_steps(prior, pushed(NUMBERS, 19), SETTINGS, 0) == SETTINGS.steps
     few = SETTINGS.model_copy(update={"steps": 10})
-    assert 1 <= tuned_steps(prior, pushed(NUMBERS, 8), few, 0) <= 10
+    assert 1 <= tuned_steps(prior, pushed(NUMBERS, 20), few, 0) <= 10
 
 
 def bent(data: Sequences, by: float) -> Sequences:

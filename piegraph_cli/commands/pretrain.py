@@ -8,7 +8,7 @@ import typer
 
 from piegraph_cli.commands.options import AsJson
 from piegraph_cli.commands.output import Report, emit
-from piegraph_cli.dynamics.params import Family, PretrainParams
+from piegraph_cli.dynamics.family.params import Family, PretrainParams
 from piegraph_cli.errors import UsageError
 from piegraph_cli.params import validated
 from piegraph_cli.text import Line, counted
@@ -18,7 +18,7 @@ def pretrain(
     out: Annotated[Path, typer.Option(help="file to write (.h5)")],
     family: Annotated[Family | None, typer.Option(help="kind of object [default: blocks]", show_default=False)] = None,
     seed: Annotated[int | None, typer.Option(help="seed of weights, objects and strokes [default: 0]")] = None,
-    steps: Annotated[int | None, typer.Option(help="training steps [default: 32000]")] = None,
+    steps: Annotated[int | None, typer.Option(help="training steps [default: 16000]")] = None,
     hours: Annotated[float | None, typer.Option(help="stop after so long; the same command goes on")] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -170,6 +170,20 @@ class Bench(Result):
     rows: list[BenchRow]
 
 
+class Pretrained(Result):
+    """`pretrain`: what was made, and what it has seen."""
+
+    file: str | None
+    """`null` where the hours ended before the steps; the same command goes on. Alone where the file is there already."""
+    settings: dict[str, Any] | None = None
+    simulators: list[str] | None = None
+    seen: dict[str, Any] | None = None
+    """What is drawn, by what it is."""
+    strokes: int | None = None
+    cpu_minutes: float | None = None
+    loss: float | None = None
+
+
 RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "run": (Outcomes, Foreseen),
     "status": (Status,),
@@ -181,6 +195,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "reproduce": (Reproduced,),
     "list": (Names,),
     "unpack": (Unpacked,),
+    "pretrain": (Pretrained,),
     "calibrate": (Calibrated, Leveled, RobotBase),
     "doctor": (Machine, Fetched),
     "bench": (Bench,),

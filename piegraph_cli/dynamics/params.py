@@ -4,8 +4,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny
 
+from piegraph_cli.dynamics.dataset_params import DatasetParams as DatasetParams
 from piegraph_cli.errors import UsageError
 from piegraph_cli.params import Params, split_commas, validated
 from piegraph_cli.physics.params import GuidanceParams
@@ -69,6 +70,8 @@ def _check_label(label: str) -> str:
         raise ValueError(f"{label!r} is no model: give NAME, NAME@SEQUENCES or NAME:VARIANT@SEQUENCES")
     if parts[1] not in get_args(ModelName):
         raise ValueError(f"no model {parts[1]}: {', '.join(get_args(ModelName))}")
+    if parts[3] == "@0" and trained_label(parts[1]) != "piegraph":
+        raise ValueError(f"{label}: of no sequences only piegraph learns, which can begin with a prior")
     if trained_label(parts[1]) is None and parts[1] != label:
         raise ValueError(f"{label}: {parts[1]} is not trained, so it has no variants and learns from no sequences")
     return label
@@ -84,39 +87,6 @@ def _check_trainable(label: str) -> str:
 Label = Annotated[str, AfterValidator(_check_label)]
 """A model by name; after : a variant of its settings (`train.variants`), after @ how many sequences it learns from."""
 Labels = Annotated[tuple[Label, ...], BeforeValidator(split_commas), Field(min_length=1)]
-
-
-Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
-"""Sequences by name."""
-
-
-class DatasetParams(Params):
-    """Settings of `dataset`."""
-
-    train: int = Field(10, ge=1, description="sequences to train on")
-    validation: int = Field(0, ge=0, description="sequences to choose the checkpoint on (0: the last one is kept)")
-    min_gap: int = Field(2, ge=1, description="fewest frames between the two frames of a training pair")
-    min_stroke: float = Field(0.01, ge=0.001, description="shortest stroke that is kept [m]")
-    max_bend: float = Field(0.025, gt=0, description="a push that strays further from a straight line is cut there [m]")
-    min_seen: float = Field(0.5, ge=0, le=1, description="frames in which less of the object is seen are no examples")
-    max_doubt: float = Field(
-        0.03, gt=0, description="frames whose tracks are expected to be further off are no examples [m]"
-    )
-    seed: int = Field(0, ge=0, description="seed of the split")
-    train_names: Names = Field((), description="sequences to train on, by name, in place of numbers")
-    validation_names: Names = Field((), description="sequences to choose the checkpoint on, by name")
-    test_names: Names = Field((), description="sequences to test on, by name (default: all that are in no other part)")
-    split: Path | None = Field(None, description="file of the split: a line NAME,train|validation|test per sequence")
-
-    @model_validator(mode="after")
-    def _check_names(self) -> "DatasetParams":
-        named = [*self.train_names, *self.validation_names, *self.test_names]
-        if self.split is not None and named:
-            raise ValueError("the split is given by a file and by names: give one of them")
-        twice = sorted({name for name in named if named.count(name) > 1})
-        if twice:
-            raise ValueError(f"sequence {twice[0]} is in more than one part of the split")
-        return self
 
 
 class FittedParams(Params):
@@ -354,24 +324,6 @@ class ModelParams(Params):
         """As for all settings, without how often the state is kept and whether events are written: as by default."""
         unused = {n: type(self).model_fields[n].default for n in ("checkpoint_every", "tensorboard")}
         return super().content() | unused | {"settings": self.settings.content()}
-
-
-Family = Literal["blocks"]
-"""Kinds of object that a prior is for."""
-
-
-class PretrainParams(Params):
-    """How a prior is trained."""
-
-    family: Family = Field("blocks", description="kind of object that it is for")
-    seed: int = Field(0, ge=0, description="seed of weights, objects and strokes")
-    steps: int = Field(32_000, ge=1, description="training steps")
-    batch: int = Field(16, ge=1, le=1024, description="strokes per step")
-    learning_rate: float = Field(3e-3, gt=0, description="learning rate at the start of the cosine")
-    clip: float = Field(1.0, gt=0, description="largest gradient norm")
-    neighbors: int = Field(6, ge=1, description="neighbours of a particle in the graph")
-    hidden: int = Field(64, ge=1, description="width of the network")
-    layers: int = Field(4, ge=1, description="message-passing layers")
 
 
 class PredictionParams(GuidanceParams):

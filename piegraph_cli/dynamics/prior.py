@@ -16,8 +16,8 @@ from piegraph_cli.dynamics.egnn import DECIMETRE, EGNN, Rest
 from piegraph_cli.dynamics.family import blocks
 from piegraph_cli.dynamics.family.blocks import draw_block
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn
+from piegraph_cli.dynamics.family.params import PretrainParams
 from piegraph_cli.dynamics.losses import mean_seen
-from piegraph_cli.dynamics.params import PretrainParams
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 
@@ -167,11 +167,11 @@ class Pretraining:
             drawn = draw_chunk(self.family, params.seed, index, params.neighbors)
             order = np.random.default_rng([params.seed, index, 1]).permutation(len(drawn))
             self.chunk = index, drawn, torch.as_tensor(order)
-        _, chunk, order = self.chunk
+        _, chunk, chosen = self.chunk
         rate = params.learning_rate * min(1.0, (self.done + 1) / WARM)
         for group in self.optimizer.param_groups:
             group["lr"] = rate * 0.5 * (1 + math.cos(math.pi * self.done / params.steps))
-        loss = chunk.loss(self.prior, order[place * params.batch : (place + 1) * params.batch])
+        loss = chunk.loss(self.prior, chosen[place * params.batch : (place + 1) * params.batch])
         self.optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.prior.parameters(), params.clip)

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import EGNN
@@ -28,12 +29,14 @@ KNOWN = (0.25, 0.1, 0.15)
 """Deviations of the logarithms of friction, turning length and reach in these, where there are strokes to fit them to."""
 UNKNOWN = (FRICTION[1], PRESSURE[1], REACH[1])
 """The same without any stroke."""
-REAL = 6
-"""Examples of a batch that are real, at most one for each."""
+REAL = 3
+"""Examples of a batch that are real, where there are any."""
 SHAPES = 4
 """Sequences whose particles are used in simulated strokes, at most."""
-HELD = 4
-"""Every so many strokes one is left out to choose the number of steps by, where there are twice as many."""
+HELD, ENOUGH = 4, 20
+"""Every so many strokes one is left out to choose the number of steps by, where there are enough: two tell nothing."""
+GAIN = 0.1
+"""Share by which fewer steps have to be better than all, on strokes that were left out: a few strokes tell no less."""
 BENT, SHARE = 0.005, 0.2
 """Metres from a rigid motion, and share of the motion, above which a thing bends."""
 
@@ -90,7 +93,9 @@ def check_block(data: Sequences) -> None:
         return
     bent = float(np.median(planar_residuals(before[moved], after[moved])))
     if bent > max(BENT, SHARE * float(np.median(motion[moved]))):
-        raise DataError(f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends; {hint[24:]}", hint=hint)
+        raise DataError(
+            f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends; the prior is for blocks", hint=hint
+        )
 
 
 def unseen(data: Sequences) -> Sequences:
@@ -115,14 +120,27 @@ def own_strokes(body: RigidBody, data: Sequences, neighbors: int, seed: int) -> 
     """Strokes of a body simulated, with the particles that its sequences have."""
     rng = np.random.default_rng([seed, len(data.strokes)])
     chosen = np.unique(np.linspace(0, len(data.rest) - 1, SHAPES).astype(int))
+    like = _parts(data, float(body.numbers[2])) if len(data.strokes) else None
     drawn = []
     for rest in data.rest[chosen]:
         pose = body_frame(rest, body.shape.numpy())
         own = moved_in_plane(rest[:, :2] - pose[:2], np.array([0.0, 0.0, -pose[2]]))
         spread = KNOWN if len(data.strokes) else UNKNOWN
         particles = np.concatenate([own, rest[:, 2:]], 1)
-        drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen)))
+        drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen), like))
     return Chunk.of(drawn, neighbors)
+
+
+def _parts(data: Sequences, reach: float) -> np.ndarray:
+    """How far the strokes [S, 2] (m) go before they come near the object, and from there on."""
+    strokes, before = data.whole(), torch.as_tensor(data.positions[data.strokes[:, 0]])
+    relative = ((before[..., :2] - strokes.start[:, None]) @ strokes.rotation).double()
+    spacing = float(np.median(cKDTree(data.rest[0]).query(data.rest[0], k=2)[0][:, 1]))
+    near = reach + spacing / 2
+    ahead, aside = relative.unbind(-1)
+    touch = torch.where(aside.abs() < near, ahead - (near**2 - aside**2).clamp_min(0).sqrt(), torch.inf).amin(1)
+    free = torch.minimum(touch.clamp_min(0), strokes.length)
+    return torch.stack([free, strokes.length - free], 1).numpy()
 
 
 def traits_of(body: RigidBody) -> Tensor:
@@ -139,14 +157,14 @@ def told(prior: Prior, traits: Tensor) -> EGNN:
     """The prior's network, for objects with these traits [TRAITS]: what it takes is what any of piegraph's networks takes."""
     network = copy.deepcopy(prior.network)
     with torch.no_grad():
-        network.embed.bias += prior.traits.weight @ traits
+        network.embed.bias.add_(prior.traits.weight @ traits)
     return network
 
 
 def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) -> int:
-    """How many steps are best where every few strokes one is left out; all where there are too few to leave any out."""
+    """How many steps to learn for: fewer than all only where that is clearly better on strokes that are left out."""
     count = len(data.strokes)
-    if count < 2 * HELD:
+    if count < ENOUGH:
         return settings.steps
     held = np.random.default_rng(seed).permutation(count) % HELD == 0
     kept, left = (_some(data, chosen) for chosen in (~held, held))
@@ -157,7 +175,8 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
         if trainer.done % every == 0:
             trainer.record()
     losses = {step: loss for step, _, loss in trainer.history}
-    return min(losses, key=lambda step: losses[step])
+    best = min(losses, key=lambda step: losses[step])
+    return best if losses[best] < (1 - GAIN) * losses[trainer.done] else settings.steps
 
 
 def start_tuning(prior: Prior, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int) -> Trainer:

@@ -9,18 +9,20 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.dynamics.params import EGNNParams, FittedParams, PretrainParams
+from piegraph_cli.dynamics.family.params import PretrainParams
+from piegraph_cli.dynamics.params import EGNNParams, FittedParams
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.stage import Stage
 
 if TYPE_CHECKING:
-    from piegraph_cli.dynamics.prior import Prior
+    from piegraph_cli.dynamics.prior import Pretraining, Prior
     from piegraph_cli.workspace.artifact import Artifact
+    from piegraph_cli.workspace.execute import Checkpoint
 
 HINT = "--from prior, the one that is shipped, or a file of piegraph pretrain"
-TUNING: dict[str, Any] = {"steps": 800, "learning_rate": 1e-3, "batch": 16, "cycles": 1, "clip": 1.0}
+TUNING: dict[str, Any] = {"steps": 600, "learning_rate": 1e-3, "batch": 16, "cycles": 1, "clip": 1.0}
 """How a prior learns from a recording; the steps are the most."""
 KEPT_EVERY = 500
 """Steps between checkpoints."""
@@ -108,12 +110,10 @@ def pretrain(params: PretrainParams, out: Path, hours: float | None, tell: Any) 
 
     from piegraph_cli.dynamics.prior import Pretraining, make_prior
     from piegraph_cli.process import set_up_torch
-    from piegraph_cli.workspace.artifact import write_artifact
     from piegraph_cli.workspace.execute import Checkpoint
 
     set_up_torch()
-    key = key_of(params)
-    checkpoint = Checkpoint(out.with_name(f".{out.stem}.checkpoint.h5"), PRETRAIN, key)
+    checkpoint = Checkpoint(out.with_name(f".{out.stem}.checkpoint.h5"), PRETRAIN, key_of(params))
     training = Pretraining(make_prior(params, False, params.seed), params.family, params)
     saved = checkpoint.load()
     if saved is not None:
@@ -125,21 +125,29 @@ def pretrain(params: PretrainParams, out: Path, hours: float | None, tell: Any) 
             checkpoint.save(training.state())
             if end is not None and time.monotonic() > end:
                 return None
-    about = described(params, checkpoint.clock.spent()["cpu_ms"] / 60_000)
-    loss = training.history[-1][1]
+    told = _write(training, params, out, checkpoint)
+    checkpoint.path.unlink(missing_ok=True)
+    return told
+
+
+def _write(training: "Pretraining", params: PretrainParams, out: Path, checkpoint: "Checkpoint") -> dict[str, Any]:
+    """Write what was learned, beside what it has seen; returns what is told of it."""
+    from piegraph_cli.workspace.artifact import write_artifact
+
+    spent, loss = checkpoint.clock.spent(), training.history[-1][1]
+    about = described(params, spent["cpu_ms"] / 60_000)
     write_artifact(
         out,
         PRETRAIN.writes,
         _arrays(training),
         stage=PRETRAIN.name,
         stage_version=PRETRAIN.version,
-        key=key,
+        key=checkpoint.key,
         params=about,
         inputs={},
         quality=f"loss {loss:.4f} after {counted(training.done, 'step')}",
-        spent=checkpoint.clock.spent(),
+        spent=spent,
     )
-    checkpoint.path.unlink(missing_ok=True)
     return about | {"loss": loss, "file": str(out)}
 
 
@@ -149,7 +157,7 @@ def key_of(params: PretrainParams) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _arrays(training: Any) -> dict[str, Any]:
+def _arrays(training: "Pretraining") -> dict[str, Any]:
     import numpy as np
 
     steps, losses = np.array(training.history).T

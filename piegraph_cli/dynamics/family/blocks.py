@@ -34,6 +34,8 @@ AWAY = 0.08
 """Farthest that the others begin from there [m]."""
 SPACED = 0.7
 """Share of blocks whose particles are as far apart as they can be; those of others lie at random."""
+ALIKE, AROUND = 0.7, (0.4, 1.2)
+"""Share of simulated strokes that are like those of a recording, and by which factors they differ, from, to."""
 STRIDE = 1e-3
 """Metres of the pusher in a step of the integration."""
 RIM = 0.002
@@ -79,15 +81,17 @@ def simulated(
     spread: tuple[float, float, float],
     particles: np.ndarray,
     count: int,
+    like: np.ndarray | None = None,
 ) -> Drawn:
     """Random strokes [count] of a body with these particles [N, 3] (m); edges [E, 4] and numbers [5] as for `push`.
 
-    In each stroke the first three numbers are others: `spread` are deviations of their logarithms.
+    In each stroke the first three numbers are others: `spread` are deviations of their logarithms. `like` [K, 2] (m): how
+    far before they touch, and for how long from there on, most strokes are to go; by default they are any.
     """
     rows = numbers.repeat(count, 1)
     rows[:, :3] *= _tensor(np.exp(rng.normal(0, 1, (count, 3)) * spread))
     rim = pieces(edges.numpy().astype(float).reshape(-1, 2, 2), RIM)
-    start, end = _strokes(rng, rim, rows[:, 2].double().numpy())
+    start, end = _strokes(rng, rim, rows[:, 2].double().numpy(), like)
     return _pushed(edges, rows, particles, start, end)
 
 
@@ -124,10 +128,13 @@ def _particles(rng: np.random.Generator, inner: np.ndarray, rim: np.ndarray, cou
     return points[farthest_point_sample(np.pad(points, ((0, 0), (0, 1))), count)]
 
 
-def _strokes(rng: np.random.Generator, rim: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _strokes(
+    rng: np.random.Generator, rim: np.ndarray, reach: np.ndarray, like: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Starts and ends [S, 2] (m) of strokes from anywhere by pushers with these radii [S] (m).
 
-    Their lines touch the outline's points [P, 2] (m), or just miss them.
+    Their lines touch the outline's points [P, 2] (m), or just miss them. Most begin as far from there, and go on for as
+    long, as one of `like` [K, 2] (m).
     """
     starts, ends = [], []
     for radius in reach.tolist():
@@ -138,6 +145,9 @@ def _strokes(rng: np.random.Generator, rim: np.ndarray, reach: np.ndarray) -> tu
         if not math.isfinite(touch):
             touch = x.min() + rng.uniform(0, 0.05)
         start = touch if rng.random() < TOUCHING else touch - rng.uniform(0, min(AWAY, length))
+        if like is not None and rng.random() < ALIKE:
+            free, pushing = like[rng.integers(len(like))] * rng.uniform(*AROUND, 2)
+            start, length = touch - free, max(free + pushing, LENGTH[0])
         starts.append(turned(np.array([start, aside]), heading))
         ends.append(turned(np.array([start + length, aside]), heading))
     return np.array(starts), np.array(ends)

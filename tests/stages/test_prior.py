@@ -1,0 +1,110 @@
+"""`piegraph pretrain` and `train --from`: what a prior's file says, files that are refused, keys, no test in its simulator."""
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from piegraph_cli.commands.program import app
+from piegraph_cli.dynamics.family.params import PretrainParams
+from piegraph_cli.dynamics.params import SHIPPED_PRIOR, EGNNParams
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.stages import STAGES, evaluate
+from piegraph_cli.stages.prior import PRETRAIN, adopted, pretrain, read_prior
+from piegraph_cli.workspace.artifact import read_artifact, write_artifact
+from piegraph_cli.workspace.recipe import Recipe
+from piegraph_cli.workspace.run import Run
+from tests.stages.chain import artifact
+
+SMALL = PretrainParams(hidden=8, layers=1, steps=2)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    out = tmp_path_factory.mktemp("prior") / "small.h5"
+    assert pretrain(SMALL, out, None, lambda items: items) is not None
+    return out
+
+
+def rewritten(small, out, version=PRETRAIN.version, features=None):
+    made = read_artifact(small, "prior")
+    arrays = dict(made.arrays)
+    if features:
+        arrays["weights/network.embed.weight"] = np.zeros((8, features), np.float32)
+    rest = {"key": made.key, "params": made.params, "inputs": {}, "stage": "pretrain", "stage_version": version}
+    write_artifact(out, "prior", arrays, **rest)
+    return out
+
+
+def test_a_prior_says_what_it_has_seen():
+    about = read_artifact(SHIPPED_PRIOR, "prior").params
+    assert about["simulators"] == ["analytic quasi-static pushing"]
+    assert {"seed", "family", "steps"} <= about["settings"].keys()
+    assert about["strokes"] > 100_000
+    assert about["cpu_minutes"] > 0
+    assert len(about["seen"]["outlines"]) == 5
+    assert SHIPPED_PRIOR.stat().st_size < 2_000_000
+
+
+def test_what_is_no_prior_is_refused(small, tmp_path):
+    read_prior(small)
+    with pytest.raises(DataError, match="a prior of version 99, this is version"):
+        read_prior(rewritten(small, tmp_path / "old.h5", version=99))
+    with pytest.raises(DataError, match="takes 9 features of a particle, there are 10"):
+        read_prior(rewritten(small, tmp_path / "features.h5", features=9))
+    text = tmp_path / "text.h5"
+    text.write_text("no HDF5")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file.attrs["artifact"] = "checkpoint"
+    for wrong in (text, tmp_path / "other.h5", tmp_path / "gone.h5"):
+        with pytest.raises(DataError, match="no prior that can be used"):
+            read_prior(wrong)
+
+
+def test_the_networks_size_is_the_priors_whatever_else_is_set(small):
+    first, second = (adopted(EGNNParams(prior=small, hidden=h, steps=9, action_head=False)) for h in (16, 32))
+    assert first == second
+    assert (first.hidden, first.layers, first.neighbors, first.action_head) == (8, 1, 6, True)
+    assert adopted(EGNNParams(hidden=5)) == EGNNParams(hidden=5)
+
+
+def test_the_key_has_the_priors_content_and_not_its_place(small, tmp_path):
+    def key(prior) -> str:
+        recipe = Recipe(STAGES, {"simulate": {}, "train": {"piegraph": {"prior": str(prior)}}})
+        return Run(tmp_path / "run", recipe).key(STAGES["train"], "piegraph.seed0")
+
+    copy = tmp_path / "elsewhere" / small.name
+    copy.parent.mkdir()
+    copy.write_bytes(small.read_bytes())
+    assert key(copy) == key(small)
+    other = tmp_path / "other.h5"
+    pretrain(SMALL.model_copy(update={"seed": 1}), other, None, lambda items: items)
+    assert key(other) != key(small)
+    assert key("prior") not in (key(small), key(other))
+
+
+def test_no_model_is_tested_in_the_simulator_of_its_prior(tmp_path):
+    run = Run(tmp_path, Recipe(STAGES, {"simulate": {"environment": "tblock"}}))
+    for simulator, refused in (("Pymunk", True), ("MuJoCo", False), ("analytic quasi-static pushing", False)):
+        model = artifact({"prior_simulator": np.array([simulator.encode()])})
+        if refused:
+            with pytest.raises(DataError, match="learned from Pymunk, which the test sequences come from"):
+                evaluate._check_apart({"model": model}, run)
+        else:
+            evaluate._check_apart({"model": model}, run)
+
+
+def test_of_no_strokes_only_what_begins_with_a_prior_learns(tmp_path):
+    from piegraph_cli.dynamics.params import ModelParams
+    from piegraph_cli.stages.train import run
+
+    with pytest.raises(UsageError, match="no strokes to learn from"):
+        run({"dataset": None}, ModelParams(label="piegraph@0", seed=0, settings=EGNNParams()), None)
+
+
+def test_the_command_leaves_other_files_alone(tmp_path):
+    out = tmp_path / "notes.txt"
+    out.write_text("mine")
+    with pytest.raises(UsageError, match="no prior"):
+        CliRunner().invoke(app, ["pretrain", "--out", str(out)], catch_exceptions=False)
+    assert out.read_text() == "mine"

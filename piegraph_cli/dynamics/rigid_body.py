@@ -89,8 +89,9 @@ class RigidBody(nn.Module):
             [_compose(planar_fit(data.rest[o][:, :2], x), frames[o]) for o, x in zip(owner, before, strict=True)]
         )
         ends = data.whole()[chosen].ends.flatten(1)
-        poses, ends, before, after = (torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, ends, before, after))
-        return poses, ends, before, after
+        arrays = (torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, ends, before, after))
+        at, along, start, end = arrays
+        return at, along, start, end
 
     def _fit_numbers(self, *scene: Tensor) -> None:
         from scipy.optimize import differential_evolution  # planning does without

@@ -30,7 +30,7 @@ class Tracked:
         """[N, 3] metres: the particles at rest, as they were first seen."""
         with torch.inference_mode():
             graph = build_springs(chosen, spring_radius(chosen))
-            self.follower = Follower(chosen, graph, first.cloud, _views(first, scene), params)
+            self.follower = Follower(chosen, graph, first.cloud, _views(first, scene), params, upright=True)
 
     def follow(self, sight: Sight, info: dict[str, Any], mode: int) -> None:
         """Follow a stroke by its frames on the way, `info` of the environment's step; the tool is in view."""

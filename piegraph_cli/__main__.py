@@ -1,6 +1,31 @@
-"""`python -m piegraph_cli`: the program where `piegraph` is not on the PATH."""
+"""The program, from its first moment on: `piegraph`, or `python -m piegraph_cli` where it is not on the PATH."""
 
-from piegraph_cli.commands.program import main
+import sys
+
+from piegraph_cli.signals import obey, stopped
+
+
+def main() -> None:
+    """The `piegraph` program. A signal that comes while its modules are imported is a signal too."""
+    obey()
+    try:
+        from piegraph_cli.commands.program import run
+
+        code = run()
+    except Exception:
+        if stopped() is None:
+            raise
+        code = _early()
+    except KeyboardInterrupt:
+        code = _early()
+    sys.exit(code)
+
+
+def _early() -> int:
+    """Nothing was begun yet."""
+    print("interrupted", file=sys.stderr)
+    return 128 + (stopped() or 2)
+
 
 if __name__ == "__main__":  # worker processes import this file under another name
     main()

@@ -14,7 +14,7 @@ from typing import Any
 def serve() -> None:
     import piegraph_cli.dynamics.models
     import piegraph_cli.planning.search  # noqa: F401
-    from piegraph_cli.commands.program import main
+    from piegraph_cli.__main__ import main
 
     gc.collect()
     gc.freeze()  # or every child would copy all of this memory when it looks for garbage at its end

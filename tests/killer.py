@@ -8,7 +8,7 @@ from collections.abc import Iterator
 left = int(sys.argv[1])
 sys.argv = ["piegraph", *sys.argv[2:]]
 
-from piegraph_cli.commands.program import main  # noqa: E402
+from piegraph_cli.__main__ import main  # noqa: E402
 from piegraph_cli.workspace import artifact  # noqa: E402
 
 sealed = artifact.sealed

@@ -11,7 +11,7 @@ import piegraph_cli
 PACKAGE = Path(piegraph_cli.__file__).parent
 
 ORDER = [
-    *("errors", "text", "params", "files", "process", "weights", "kernels"),
+    *("errors", "text", "params", "files", "process", "signals", "weights", "kernels"),
     *("recording", "physics", "perception", "dynamics", "environments", "planning", "evaluation"),
     *("workspace", "capture", "stages", "service", "report", "viewer", "experiments", "bench", "doctor", "commands"),
 ]

@@ -93,6 +93,7 @@ def test_interrupt_ends_with_130_and_a_word(tiny_run, tmp_path):
 def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     program = """
 import signal, time
+from piegraph_cli.__main__ import main
 from piegraph_cli.commands import program
 
 class Falls:
@@ -104,7 +105,7 @@ def work(*arguments, **options):
     time.sleep(50)
 
 program.app = work
-program.main()
+main()
 """
     process = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
     assert process.returncode == 130

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any
 
@@ -17,6 +16,7 @@ from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.errors import PiegraphError, UsageError
+from piegraph_cli.signals import stopped
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
@@ -103,19 +103,15 @@ def _make() -> typer.Typer:
 app = _make()
 
 
-def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Ctrl-C that falls into a destructor, where Python drops exceptions, comes once more."""
-    if unraisable.exc_type is KeyboardInterrupt:
-        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
-    else:
-        sys.__unraisablehook__(unraisable)
-
-
 class Interrupted(PiegraphError):
-    """Ctrl-C."""
+    """A signal that ends the program."""
 
-    exit_code = 130
     kind = "interrupted"
+
+    def __init__(self, number: int):
+        said = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+        super().__init__(said, hint="the same command goes on from here")
+        self.exit_code = 128 + number
 
     def __str__(self) -> str:
         return f"{self.message}; {self.hint}"
@@ -148,9 +144,20 @@ def call(arguments: Sequence[str]) -> int:
 def _ended(arguments: Sequence[str]) -> int:
     """The exit code of a command line. Whatever a user can cause or mend is raised as a `PiegraphError`."""
     try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        raise Interrupted(stopped() or signal.SIGINT) from None
+    except Exception:
+        if (number := stopped()) is not None:  # whatever the signal was made into on its way
+            raise Interrupted(number) from None
+        raise
+
+
+def _run(arguments: Sequence[str]) -> int:
+    try:
         code = app(list(arguments) or ["--help"], prog_name="piegraph", standalone_mode=False)
-    except (KeyboardInterrupt, typer.Abort):
-        code = Interrupted.exit_code
+    except typer.Abort:
+        raise KeyboardInterrupt from None
     except SystemExit as ended:
         if ended.code == 1:  # typer's word for a reader that has left
             raise BrokenPipeError from None
@@ -159,18 +166,17 @@ def _ended(arguments: Sequence[str]) -> int:
         context = getattr(error, "ctx", None)
         command = f"piegraph {context.info_name}" if context is not None and context.parent is not None else "piegraph"
         raise UsageError(error.format_message(), hint=f"{command} --help") from None
-    if code == Interrupted.exit_code:
-        raise Interrupted("interrupted", hint="the same command goes on from here")
+    if code == 128 + signal.SIGINT:
+        raise KeyboardInterrupt
     return int(code or 0)
 
 
-def main() -> None:
-    """The `piegraph` program."""
-    sys.unraisablehook = _interrupt_again
+def run() -> int:
+    """The `piegraph` program's exit code."""
     try:
         code = call(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:  # who read it has left, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
-    sys.exit(code)
+    return code

@@ -6,7 +6,7 @@ import secrets
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,14 +14,13 @@ from piegraph_cli.commands.answer import answer
 from piegraph_cli.commands.options import AsJson, Device
 from piegraph_cli.commands.stages import require_run
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.signals import stopped
 
 if TYPE_CHECKING:
     from piegraph_cli.service.service import Service
 
 TOKEN = "PIEGRAPH_TOKEN"
 """The environment's variable that holds the token."""
-TOLD_TO_END = 143
-"""The exit code of what SIGTERM ended."""
 
 
 def serve(
@@ -51,12 +50,16 @@ def serve(
     It serves until Ctrl-C or SIGTERM, or, with --stdio, until stdin ends. What to send is in docs/robot.md.
     """
     _check(run, model, recording, live)
-    signal.signal(signal.SIGTERM, _end)
     what = (run, model, recording, live, device)
-    if stdio:
-        _on_stdio(what)
-    else:
-        _on_http(what, host, port, _token(host, token_file), as_json)
+    try:
+        if stdio:
+            _on_stdio(what)
+        else:
+            _on_http(what, host, port, _token(host, token_file), as_json)
+    except KeyboardInterrupt:
+        if stopped() == signal.SIGTERM:  # how services are ended: there is nothing to say
+            raise typer.Exit(128 + signal.SIGTERM) from None
+        raise
 
 
 def _on_stdio(what: tuple[Any, ...]) -> None:
@@ -78,10 +81,6 @@ def _on_http(what: tuple[Any, ...], host: str, port: int, token: str | None, as_
         with opened_service(*what) as service:
             url = f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}"
             make_server(service, Gate(host, token), lambda: _tell(service, url, as_json)).run([socket])
-
-
-def _end(*_: object) -> NoReturn:
-    raise SystemExit(TOLD_TO_END)
 
 
 def _check(run: Path | None, model: str | None, recording: Path | None, live: bool) -> None:

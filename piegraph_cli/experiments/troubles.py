@@ -3,10 +3,10 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 
 from piegraph_cli.environments.params import SimulateParams, TroubleParams
@@ -23,6 +23,7 @@ from piegraph_cli.recording.sequence import read_sequence
 from piegraph_cli.recording.timing import check_times
 from piegraph_cli.stages.geometry import check_frames, views_of
 from piegraph_cli.stages.simulate import record_sequences
+from piegraph_cli.workspace.parallel import in_processes
 
 GOOD = "good recordings"
 
@@ -46,21 +47,21 @@ def run_troubles(params: TroublesParams, folder: Path, jobs: int) -> list[Told]:
     wrong = [(env, kind.trouble) for env in params.environments for kind in found if kind.trouble]
     base = [(env, TroubleParams()) for env in params.environments]
     folders = {key: folder / "recordings" / _name(*key) for key in dict.fromkeys([*good, *base, *wrong])}
-    _parallel(jobs, [joblib.delayed(_render)(params, *key, path) for key, path in folders.items()])
-    tasks = [joblib.delayed(_good)(folders[key]) for key in good]
-    tasks += [joblib.delayed(_good)(path) for path in params.recordings]
+    _parallel(jobs, [partial(_render, params, *key, path) for key, path in folders.items()])
+    tasks = [partial(_good, folders[key]) for key in good]
+    tasks += [partial(_good, path) for path in params.recordings]
     for env in params.environments:
         whole = folders[env, TroubleParams()]
         altered = [kind for kind in found if not kind.trouble]
-        tasks.append(joblib.delayed(_altered)(altered, env, whole))
-        tasks += [joblib.delayed(_rendered)(k, env, folders[env, k.trouble]) for k in found if k.trouble]
+        tasks.append(partial(_altered, altered, env, whole))
+        tasks += [partial(_rendered, k, env, folders[env, k.trouble]) for k in found if k.trouble]
     return [told for some in _parallel(jobs, tasks) for told in some]
 
 
 def _parallel(jobs: int, tasks: list[Any]) -> list[Any]:
     from tqdm import tqdm
 
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(tasks)
+    work = in_processes(tasks, jobs, in_order=True)
     return list(tqdm(work, total=len(tasks), desc="troubles", disable=None, leave=False))
 
 

@@ -29,7 +29,7 @@ class Error(Result):
     try_: str | None = Field(alias="try")
     """The command or change to try next."""
     exit_code: int
-    """Of a command that ends with this: 2, 3, 3, 4, 4, 1, 130 in the order of the kinds."""
+    """Of a command that ends with this: 2, 3, 3, 4, 4, 1, 130 (143 by SIGTERM, 129 by SIGHUP) in the order of the kinds."""
 
 
 class Outcome(Result):

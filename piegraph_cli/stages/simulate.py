@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from piegraph_cli.errors import UsageError
 from piegraph_cli.stages.steps import check_environments, make_environment
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Folder, Given, Instead, Told
+from piegraph_cli.workspace.parallel import in_processes
 from piegraph_cli.workspace.stage import Context, Output, Stage, Unit
 
 if TYPE_CHECKING:
@@ -103,7 +105,6 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
     A sequence is rendered into a hidden folder and renamed when it is whole, so that an interrupted one leaves nothing
     behind that could be taken for a recording.
     """
-    import joblib
     from tqdm import tqdm
 
     from piegraph_cli.environments.hand import load_hand
@@ -115,9 +116,8 @@ def record_sequences(out: Path, params: SimulateParams, *, jobs: int, force: boo
     load_hand()  # fetched once, before several processes would fetch it
     write_cameras(out, told_cameras(camera_rig(count=params.cameras), params.trouble))
     names = [f"sequence_{i:04d}" for i in range(params.sequences)]
-    work = joblib.Parallel(n_jobs=min(jobs, len(names)), return_as="generator")(
-        joblib.delayed(_record_sequence)(out / name, _of_recording(params), i, force) for i, name in enumerate(names)
-    )
+    tasks = [partial(_record_sequence, out / name, _of_recording(params), i, force) for i, name in enumerate(names)]
+    work = in_processes(tasks, min(jobs, len(names)), in_order=True)
     list(tqdm(work, total=len(names), desc="render", disable=None, leave=False))
     return names
 

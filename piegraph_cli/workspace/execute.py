@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from piegraph_cli.errors import DataError, InputError, PiegraphError, command_line
 from piegraph_cli.files import remove_leftovers
+from piegraph_cli.signals import go_on
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
 from piegraph_cli.workspace.parallel import each
 from piegraph_cli.workspace.progress import Tell, silent, watching
@@ -152,6 +153,7 @@ def _work_through(run: Run, stage: Stage, units: list[Unit], options: Options) -
     with watching(stage.name, len(units), stage.unit, jobs > 1, options.backend == "local") as (tell, finish):
         work = partial(run_unit, Run(run.folder.resolve(), run.recipe), stage, options=options, tell=tell)
         for outcome in each(work, units, jobs, options.backend, lost):
+            go_on()
             outcomes.append(outcome)
             finish(outcome.unit or "")
     return outcomes
@@ -177,8 +179,10 @@ def run_unit(run: Run, stage: Stage, unit: Unit, options: Options, tell: Tell = 
             output = _make(run, stage, unit, options, tell)
         return Outcome(stage.name, unit, "done", time.monotonic() - start, output.quality, tuple(output.warnings))
     except PiegraphError as error:
+        go_on()
         return Outcome(stage.name, unit, "failed", time.monotonic() - start, error=error)
     except Exception as error:
+        go_on()  # what a signal was made into, by a module that was being imported perhaps, is no bug
         log.debug("%s", traceback.format_exc())
         bug = PiegraphError(
             f"{type(error).__name__}: {error}", f"bug in {stage.name}", f"the traceback is in {run.folder}/run.log"

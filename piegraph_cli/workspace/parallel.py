@@ -6,9 +6,11 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 from piegraph_cli.errors import MissingError, PiegraphError
+from piegraph_cli.signals import end_with, held_back
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -33,19 +35,29 @@ def each(
     elif jobs == 1:
         yield from map(work, items)
     else:
-        yield from _in_processes(work, items, jobs)
+        yield from in_processes([partial(work, item) for item in items], jobs)
 
 
-def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: bool = False) -> Iterator[Result]:
+    """What tasks give, worked on by so many processes of this machine, which end with this one, however it ends."""
+    from multiprocessing import resource_tracker
+
     import joblib
     from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.backend.resource_tracker import ensure_running
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    # joblib replaces workers that have grown, which is no news to a user
+    # joblib replaces workers that have grown, which is no news to a user; nor is what is left of a killed process
     warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given to the executor")
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker:UserWarning")
+    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator" if in_order else "generator_unordered")
     try:
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        yield from parallel(joblib.delayed(work)(item) for item in items)
+        if jobs > 1:
+            ensure_running()
+            resource_tracker.ensure_running()  # where these start they let the signals through
+        with held_back():
+            found = parallel(joblib.delayed(_watched)(task, os.getpid()) for task in tasks)
+        yield from found
     except TerminatedWorkerError:
         raise MissingError(
             "a worker process was killed, for want of memory perhaps", hint="fewer --jobs; what is done is kept"
@@ -53,6 +65,12 @@ def _in_processes(work: Callable[[Item], Result], items: Sequence[Item], jobs: i
     except KeyboardInterrupt:
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
         raise
+
+
+def _watched(task: Callable[[], Result], parent: int) -> Result:
+    if os.getpid() != parent:
+        end_with(parent)
+    return task()
 
 
 def _on_ray(

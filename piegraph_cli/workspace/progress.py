@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from piegraph_cli.signals import go_on
+
 Item = TypeVar("Item")
 
 Tell = Callable[[str, int, int, str], None]
@@ -33,6 +35,7 @@ def counting(
     def over(items: Iterable[Item]) -> Iterator[Item]:
         nonlocal done, last
         for item in items:
+            go_on()
             yield item
             done += 1
             if time.monotonic() - last > EVERY:

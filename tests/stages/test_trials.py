@@ -306,7 +306,7 @@ def test_mistakes_end_with_2_and_no_traceback(tmp_path, arguments, message):
 
 
 def test_an_environment_whose_package_is_missing_ends_with_4(runs):
-    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.commands.program import main; main()"
+    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.__main__ import main; main()"
     arguments = [
         "trials",
         "--run",

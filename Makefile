@@ -15,7 +15,7 @@ SAMPLE ?= 150
 
 SECONDS ?= 600
 
-.PHONY: setup demo test smoke lint tables mutants attack libraries browser clean reproduce troubles $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables mutants attack kills libraries browser clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -74,6 +74,10 @@ mutants: setup
 # damaged and hostile files of every kind for so many seconds, what became of each, and the seeds that repeat a fault
 attack: setup
 	$(BIN)/python -m tests.attack --seconds $(SECONDS)
+
+# commands that are killed, ended and interrupted at random moments of all stages, for so many seconds
+kills: setup
+	$(BIN)/python -m tests.attack.kills $(SECONDS)
 
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept. HOURS=2 begins nothing after two hours;

@@ -2,7 +2,7 @@
 
 import sys
 
-from piegraph_cli.signals import obey, over, stopped
+from piegraph_cli.signals import leave, obey, over, stopped
 
 
 def main() -> None:
@@ -19,6 +19,8 @@ def main() -> None:
         code = _early()
     except KeyboardInterrupt:
         code = _early()
+    if stopped() is not None:
+        leave(code)
     sys.exit(code)
 
 

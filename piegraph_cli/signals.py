@@ -4,6 +4,7 @@ The first one raises `KeyboardInterrupt` in the main thread. Python code, and mo
 may drop that or turn it into another error: it is therefore kept that a signal came, and who goes on asks `stopped`.
 """
 
+import atexit
 import functools
 import os
 import signal
@@ -11,12 +12,15 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import NoReturn
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 SAME = 0.3
 """Seconds in which a signal that comes again is the same one: a terminal and a wrapper may both send it."""
+PATIENCE = 3.0
+"""Seconds that what is registered for the end may take."""
 WATCHED = 0.5
 """Seconds between looks whether the process that started this one is still there."""
 
@@ -41,7 +45,21 @@ def over() -> None:
     """Say that the program is done but for its end, which no exception is to disturb: a signal then ends it at once."""
     global _over
     _over = True
-    exec("")
+
+
+def leave(code: int) -> NoReturn:
+    """End the process that a signal was to end: what is registered for the end is done, and threads are not waited for.
+
+    Python would wait for those of native code; and where an interruption went through `exec`, as in imports, end by SIGINT.
+    """
+    late = threading.Timer(PATIENCE, os._exit, (code,))
+    late.daemon = True
+    late.start()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 def go_on() -> None:

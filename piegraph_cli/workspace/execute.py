@@ -109,16 +109,21 @@ def run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
 
 def _check_before(run: Run, stages: Sequence[Stage], options: Options) -> None:
     """Have the stages that can look at what they will need, before the first of them takes its time."""
-    most = max((len(run.units(s)) for s in stages if any(not run.fresh(s, u) for u in run.units(s))), default=0)
+    most = max((len(_to_do(run, stage, options)) for stage in stages), default=0)
     if trouble := short_of_memory(min(options.jobs, most)) if most else "":
         log.warning("%s", trouble)
     for stage in stages:
         if stage.check is None:
             continue
-        wanted = [u for u in run.units(stage) if not options.only or u in options.only]
-        todo = [u for u in wanted if options.force or not run.fresh(stage, u)]
+        todo = _to_do(run, stage, options)
         for warning in stage.check(run, todo, min(options.jobs, len(todo))) if todo else ():
             log.warning("%s: %s", stage.name, warning)
+
+
+def _to_do(run: Run, stage: Stage, options: Options) -> list[Unit]:
+    """The units that are wanted and not fresh, as far as one can tell now."""
+    wanted = [u for u in run.units(stage) if not options.only or u in options.only]
+    return [u for u in wanted if options.force or not run.fresh(stage, u)]
 
 
 def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:

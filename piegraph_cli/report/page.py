@@ -54,11 +54,7 @@ def write_report(
     trials = read_trials(run) if found.has("trials") else []
     verdicts = _verdicts(found, parts, arrays, trials)
     shown = [sequence_section(found, name, parts[name], drawn) for name in progress(found.sequences)]
-    content = {
-        "name": folder.resolve().name,
-        "version": __version__,
-        "date": datetime.datetime.now().astimezone().strftime("%d %B %Y, %H:%M"),
-        "option": found.option,
+    content = _about(found, scores) | {
         "verdicts": verdicts,
         "sequences": shown,
         "parts": list(next(iter(parts.values()), {})),
@@ -66,12 +62,6 @@ def write_report(
         "model": model_section(found, metrics, arrays, drawn),
         "plan": plan_section(found, drawn),
         "trials": trials_section(found, trials, drawn),
-        "checks": tables.check_rows(found),
-        "scores": summarise_scores([one.arrays for one in scores]),
-        "recipe": (folder / "recipe.toml").read_text("utf-8", "replace"),
-        "settings": tables.setting_rows(found),
-        "versions": tables.version_rows(),
-        "keys": tables.key_rows(found),
         "gaps": (gaps := found.gaps()),
     }
     text = _render(content)
@@ -79,6 +69,22 @@ def write_report(
     with atomic_file(out / "index.html") as temporary:
         temporary.write_bytes(text.encode("utf-8", "replace"))
     return Written(out / "index.html", verdicts, gaps)
+
+
+def _about(found: Found, scores: list[Any]) -> dict[str, Any]:
+    """What a page says of the run as a whole."""
+    return {
+        "name": found.run.folder.resolve().name,
+        "version": __version__,
+        "date": datetime.datetime.now().astimezone().strftime("%d %B %Y, %H:%M"),
+        "option": found.option,
+        "checks": tables.check_rows(found),
+        "scores": summarise_scores([one.arrays for one in scores]),
+        "recipe": (found.run.folder / "recipe.toml").read_text("utf-8", "replace"),
+        "settings": tables.setting_rows(found),
+        "versions": tables.version_rows(),
+        "keys": tables.key_rows(found),
+    }
 
 
 def _render(content: dict[str, Any]) -> str:

@@ -150,9 +150,10 @@ def _near(clouds: Sequence[np.ndarray], hand: np.ndarray | None, grasp: np.ndarr
         for cloud, place, seen in zip(clouds, hand, known, strict=True)
     ]
     near = np.array(apart) < HOLDS
+    came = int(near.argmax())
     for frame in range(len(near)):  # one that only comes near has nothing yet
         near[frame] &= bool(grasp[frame]) or (frame > 0 and bool(near[frame - 1]))
-    return Hand(hand, near)
+    return Hand(hand, near, came)
 
 
 def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams) -> Follower:

@@ -47,6 +47,8 @@ class Hand:
     """[F, 3] metres, NaN where unknown."""
     near: np.ndarray
     """[F] bool: where it is so near to the sheet that it may hold it."""
+    came: int
+    """The first frame in which it was near: before, nothing moves but shadows."""
 
 
 class Grip:
@@ -116,6 +118,9 @@ class SheetFollower:
     def follow(self, frame: int, shots: Sequence[Shot]) -> State:
         """Move on to the next frame. No state leaves that is not finite: what failed is left out."""
         before, shots = self.state, list(shots)
+        if self.hand is not None and frame < self.hand.came:
+            self.shots = shots
+            return before
         flow = Sums(len(before.x))
         for surface, old, now in zip(before.surfaces, self.shots, shots, strict=True):
             self.flow.onwards(surface, old, now, flow)

@@ -84,7 +84,7 @@ def track(
     sheet = taken_for_sheet(clouds[0], views[0], params)
     if sheet:
         time = np.arange(len(clouds)) / RATE if time is None else time
-        frames = _sheet(clouds, views, time, params, _near(clouds, hand), progress)
+        frames = _sheet(clouds, views, time, params, _near(clouds, hand, grasp), progress)
     else:
         with torch.inference_mode():
             frames = _solid(clouds, views, params, hand, grasp, progress)
@@ -142,16 +142,20 @@ def _sheet(
         raise DataError(error.message, where=error.where or "frame 0", hint=error.hint) from None
 
 
-def _near(clouds: Sequence[np.ndarray], hand: np.ndarray | None) -> Hand | None:
-    """The hand of picks, and where it is so near to the cloud that it may hold the object."""
-    if hand is None:
+def _near(clouds: Sequence[np.ndarray], hand: np.ndarray | None, grasp: np.ndarray | None) -> Hand | None:
+    """The hand of picks, and where it may hold the object: from a grasp on, for as long as it is near to the cloud."""
+    if hand is None or grasp is None:
         return None
     known = [bool(len(cloud)) and bool(np.isfinite(place).all()) for cloud, place in zip(clouds, hand, strict=True)]
     apart = [
         cKDTree(cloud).query(place)[0] if seen else np.inf
         for cloud, place, seen in zip(clouds, hand, known, strict=True)
     ]
-    return Hand(hand, np.array(apart) < HOLDS)
+    near = np.array(apart) < HOLDS
+    came = int(near.argmax())
+    for frame in range(len(near)):  # one that only comes near has nothing yet
+        near[frame] &= bool(grasp[frame]) or (frame > 0 and bool(near[frame - 1]))
+    return Hand(hand, near, came)
 
 
 def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams, upright: bool) -> Follower:

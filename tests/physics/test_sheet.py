@@ -125,7 +125,7 @@ def test_plain_pixels_tell_of_no_flow():
 def test_what_a_hand_holds_goes_with_it_and_the_rest_hangs_on():
     mesh = sheet_mesh(cloud((0.0, 0.0, 0.0)), 50)
     path = np.array([[0.08, 0.08, 0.006], [0.08, 0.08, 0.03], [0.07, 0.07, 0.05]])
-    follower = SheetFollower(mesh, shots((0.0, 0.0, 0.0)), np.arange(3) / 5, Hand(path, np.full(3, True)))
+    follower = SheetFollower(mesh, shots((0.0, 0.0, 0.0)), np.arange(3) / 5, Hand(path, np.full(3, True), 0))
     for frame in range(3):
         follower.skip(frame)
     held = follower.grip.held
@@ -143,7 +143,7 @@ def test_nothing_that_is_not_finite_leaves_a_frame(wrong):
     mesh = sheet_mesh(cloud((0.0, 0.0, 0.0)), 50)
     path = np.tile([0.08, 0.08, 0.006], (5, 1))
     follower = SheetFollower(
-        mesh, shots((0.0, 0.0, 0.0)), np.array([0, 0.2, wrong, 0.6, 0.8]), Hand(path, np.full(5, True))
+        mesh, shots((0.0, 0.0, 0.0)), np.array([0, 0.2, wrong, 0.6, 0.8]), Hand(path, np.full(5, True), 0)
     )
     path[2:4] = wrong
     seen = shots((0.0, 0.0, 0.0))

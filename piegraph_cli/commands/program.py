@@ -16,13 +16,21 @@ from piegraph_cli.commands.calibrate import calibrate
 from piegraph_cli.commands.pretrain import pretrain
 from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
+from piegraph_cli.commands.suggest import suggest
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
 from piegraph_cli.files import MAKE_ROOM, NO_SPACE
 from piegraph_cli.signals import stopped
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Stages, in the order of the pipeline": stage_commands(),
-    "Runs": {"run": runs.run, "status": survey.status, "clean": survey.clean, "report": runs.report, "view": runs.view},
+    "Runs": {
+        "run": runs.run,
+        "status": survey.status,
+        "clean": survey.clean,
+        "report": runs.report,
+        "view": runs.view,
+        "suggest": suggest,
+    },
     "Robots": {"serve": serve},
     "Cameras": {"record": record.record, "look": look.look},
     "Experiments": {"reproduce": experiments.reproduce},

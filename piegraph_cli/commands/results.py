@@ -184,11 +184,37 @@ class Pretrained(Result):
     loss: float | None = None
 
 
+class SuggestedStroke(Result):
+    """A stroke to record."""
+
+    mode: Literal["push", "pick"]
+    start: list[float]
+    """x, y in metres."""
+    end: list[float]
+    """As `start`."""
+    unsure: float
+    """Metres: how far off its prediction may be."""
+    new: float
+    """0 to 1: how unlike it is to what was recorded and to those before it."""
+
+
+class SuggestedStrokes(Result):
+    """`suggest`."""
+
+    strokes: list[SuggestedStroke]
+    """The most telling first."""
+    unsure_is: Literal["spread", "expected error", "motion"]
+    recorded: int
+    """Strokes that the model has learned from."""
+    picture: str
+
+
 RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "run": (Outcomes, Foreseen),
     "status": (Status,),
     "clean": (Cleaned,),
     "report": (Reported,),
+    "suggest": (SuggestedStrokes,),
     "record": (Recorded,),
     "look": (Seen,),
     "serve": (Serving,),

@@ -121,6 +121,30 @@ def plan_figure(steps: Sequence[dict[str, Any]], goal: np.ndarray) -> Figure:
     return figure
 
 
+def suggestion_figure(state: np.ndarray, past: np.ndarray, suggested: np.ndarray) -> Figure:
+    """An object [N, 3] with strokes that were recorded [K, 2, 2], moved to where it is, and those to record [n, 2, 2] (m)."""
+    figure = Figure(figsize=(5.5, 5.5), layout="constrained")
+    axes = figure.subplots()
+    for start, end in past:
+        axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "0.75", "lw": 1})
+    axes.scatter(*state[:, :2].T, s=25, color=OBJECT, lw=0)
+    for number, (start, end) in enumerate(suggested, 1):
+        axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": PREDICTED, "lw": 2})
+        axes.text(
+            *start,
+            str(number),
+            fontsize=11,
+            ha="center",
+            va="center",
+            bbox={"fc": "white", "ec": PREDICTED, "pad": 1.5},
+        )
+    axes.set_title(f"to record, in this order ({len(past)} recorded in grey)", fontsize=10)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    _top_view(axes, [state, *past, *suggested])
+    return figure
+
+
 def _top_view(axes: Axes, clouds: Sequence[np.ndarray], margin: float = 0.02) -> None:
     points = np.concatenate([cloud[:, :2] for cloud in clouds])
     middle, half = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0).max() / 2 + margin

@@ -78,7 +78,7 @@ def answer(
         raise DataError(
             message, "goal", "give the same particles in the same order, or a goal that does not correspond"
         )
-    seen, warnings = _particles(cloud, trained, params, rest, rest is not None or corresponds)
+    seen, warnings = chosen_particles(cloud, trained, params, rest, rest is not None or corresponds)
     _check_approach(params, cloud, seen)
     if there is not None and not corresponds:
         require_level(there, cloud)
@@ -151,7 +151,7 @@ def _on_table(pose: Pose, table: Sequence[float]) -> Pose:
     return float(x), float(y), math.atan2(to[1] - y, to[0] - x)
 
 
-def _particles(
+def chosen_particles(
     cloud: np.ndarray, trained: Trained | None, params: PlanParams, rest: np.ndarray | None, ordered: bool
 ) -> tuple[np.ndarray, list[str]]:
     """The object's particles [N, 3] (m), and what is to be said of them and of the cloud [P, 3].

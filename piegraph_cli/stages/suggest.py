@@ -1,0 +1,130 @@
+"""What `piegraph suggest` reads of a run: its models, what they learned from, and where the object lies."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from piegraph_cli.dynamics.models import make_foresee
+from piegraph_cli.dynamics.params import split_label, trained_label
+from piegraph_cli.dynamics.rigid_body import body_frame
+from piegraph_cli.dynamics.splits import TRAIN
+from piegraph_cli.errors import DataError, UsageError, command_line
+from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
+from piegraph_cli.planning.model import Model
+from piegraph_cli.planning.planner import choose_modes, stroke_space
+from piegraph_cli.planning.question import chosen_particles, finite
+from piegraph_cli.planning.suggest import Suggestions, on_object, suggest, untouched
+from piegraph_cli.recording.ground import level, moved
+from piegraph_cli.stages import open_run
+from piegraph_cli.stages.learning import read_sequences
+from piegraph_cli.stages.models import load_model
+from piegraph_cli.stages.points import read_points
+from piegraph_cli.stages.train import model_name
+from piegraph_cli.workspace.run import Run
+
+FEWEST = 3
+"""Recorded strokes below which it is said that hardly anything is known."""
+
+
+@dataclass(frozen=True)
+class Suggested:
+    """Strokes to record, and what they are drawn with."""
+
+    found: Suggestions
+    state: np.ndarray
+    """[N, 3] metres: the object's particles."""
+    past: np.ndarray
+    """[K, 2, 2] metres: starts and ends of the strokes that were learned from, moved with the object to where it is."""
+    seeds: int
+    """Models that were asked."""
+    warnings: list[str]
+
+
+def suggest_in(folder: Path, label: str, state: Path | None, count: int, seed: int) -> Suggested:
+    """Strokes to record next for the run's object, where it was last seen or as the cloud in the file `state` shows it.
+
+    Raises `UsageError` for a model that learns nothing, and `DataError` where none is trained or a cloud is not the object's.
+    """
+    run = open_run(folder)
+    models = _models(run, folder, label)
+    model = models[0]
+    assert model.trained is not None
+    data = read_sequences(run.read("dataset"), TRAIN, split_label(label)[2] or None, run.params("train").seeds[0])
+    shape = np.asarray(data.rest[0], float)
+    shape = shape - [*shape[:, :2].mean(0), 0]
+    size = float(np.sqrt(np.square(shape[:, :2]).sum(1).mean()))
+    before, whole = data.positions[data.strokes[:, 0]], data.whole()
+    frames = [body_frame(rest, shape[:, :2]) for rest in data.rest]
+    poses = np.array([_pose(data.rest[o], x, frames[o]) for o, x in zip(data.owner, before, strict=True)]).reshape(
+        -1, 3
+    )
+    known = on_object(whole, poses, size)
+    now, rest, warnings = _where(run, model, state)
+    pose = _pose(rest, now, body_frame(rest, shape[:, :2]))
+    settings = model.settings
+    modes = choose_modes(settings, model.trained.modes, None)
+    at_rest = torch.as_tensor(rest, dtype=torch.float32)
+    foresee = [make_foresee(one.label, one.trained, at_rest, one.settings) for one in models]
+    space = stroke_space(at_rest, settings, modes, settings.pusher_radius)
+    found = suggest(foresee, model.trained.calibration, now, pose, size, space, known, count, seed)
+    ends = whole.ends.double().numpy()
+    past = [moved_in_plane(moved_in_plane(e, _inverse(p)), pose) for e, p in zip(ends, poses, strict=True)]
+    return Suggested(found, now, np.array(past).reshape(-1, 2, 2), len(models), warnings + _gaps(known))
+
+
+def _models(run: Run, folder: Path, label: str) -> list[Model]:
+    """The model of every seed that is trained."""
+    if trained_label(label) is None:
+        raise UsageError(f"{label} learns nothing: no stroke tells it more", "piegraph suggest", "--model piegraph")
+    seeds = [
+        s for s in run.params("train").seeds_of(label) if run.fresh("train", model_name(str(trained_label(label)), s))
+    ]
+    if not seeds:
+        hint = command_line("train", "--run", folder, "--model", str(trained_label(label)))
+        raise DataError(f"{label} is not trained, or not from what there is now", str(folder), hint)
+    return [load_model(folder, label, seed=s) for s in seeds]
+
+
+def _where(run: Run, model: Model, state: Path | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """The object's particles now and at rest [N, 3] (m), and what is to be said of them."""
+    assert model.trained is not None
+    if state is not None:
+        table = level(model.settings.table or (0, 0, 0)) if state.suffix != ".h5" else np.eye(4)
+        cloud = moved(finite(read_points(state, None), str(state)), table)
+        now, warnings = chosen_particles(cloud, model.trained, model.settings, None, False)
+        return now, now, warnings
+    data = run.read("dataset")
+    last = int(data["stroke_sequence"].max(initial=-1))
+    if last < 0:
+        raise DataError("no stroke was recorded", str(data.path), "give --state, the object's cloud now")
+    end = data["strokes"][data["stroke_sequence"] == last][-1, 1]
+    return data["positions"][end], data["positions"][data["sequence_start"][last]], []
+
+
+def _pose(rest: np.ndarray, now: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """The pose [3] of an object at `frame` [3] when its particles were `rest` [N, 3], now that they are `now`."""
+    motion = planar_fit(rest[:, :2], now[:, :2])
+    return np.array([*moved_in_plane(frame[:2], motion), frame[2] + motion[2]])
+
+
+def _inverse(pose: np.ndarray) -> np.ndarray:
+    """The pose [3] of the world as seen from the object."""
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    return np.array([-(cosine * pose[0] + sine * pose[1]), sine * pose[0] - cosine * pose[1], -pose[2]])
+
+
+def _gaps(known: np.ndarray) -> list[str]:
+    """Words on what the recorded strokes leave open."""
+    if len(known) < FEWEST:
+        return [
+            f"learned from {len(known)} strokes: next to nothing is known, and what is suggested is mostly spread out"
+        ]
+    gap = untouched(known)
+    if gap is None:
+        return []
+    return [
+        f"all {len(known)} recorded strokes begin on one side of the object, none within {np.degrees(gap[1]):.0f} degrees: how "
+        "it moves when it is pushed from there is not determined"
+    ]

@@ -25,6 +25,7 @@ from piegraph_cli.stages.evaluate import read_metrics
 from piegraph_cli.stages.trials import read_trials
 
 HERE = Path(__file__).parent
+Progress = Callable[[list[str]], Iterable[str]]
 STAGES_OF = {"recording": "ingest", "hands": "hands", "masks": "segment", "tracks": "track"}
 
 
@@ -37,13 +38,10 @@ class Written:
     left_out: list[Gap]
 
 
-def write_report(
-    folder: Path, progress: Callable[[list[str]], Iterable[str]] = iter, out: Path | None = None
-) -> Written:
-    """Write the report of a run; what was drawn before and has not changed is not drawn again.
+def write_report(folder: Path, progress: Progress = iter, out: Path | None = None) -> Written:
+    """Write the report of a run, into it or into `out`; what was drawn before and has not changed is not drawn again.
 
-    It goes into the run, or into another folder, `out`: then nothing is written into the run. `progress` goes through the
-    names of sequences as they are drawn. Raises `DataError` where it cannot be written.
+    `progress` goes through the names of sequences as they are drawn. Raises `DataError` where it cannot be written.
     """
     run = open_run(folder)
     found, out = Found(run), out or folder / "report"

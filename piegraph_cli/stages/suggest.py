@@ -21,7 +21,7 @@ from piegraph_cli.stages import open_run
 from piegraph_cli.stages.learning import read_sequences
 from piegraph_cli.stages.models import load_model
 from piegraph_cli.stages.points import read_points
-from piegraph_cli.stages.train import model_name
+from piegraph_cli.stages.train import STAGE, model_name
 from piegraph_cli.workspace.run import Run
 
 FEWEST = 3
@@ -79,7 +79,7 @@ def _models(run: Run, folder: Path, label: str) -> list[Model]:
     if trained_label(label) is None:
         raise UsageError(f"{label} learns nothing: no stroke tells it more", "piegraph suggest", "--model piegraph")
     seeds = [
-        s for s in run.params("train").seeds_of(label) if run.fresh("train", model_name(str(trained_label(label)), s))
+        s for s in run.params("train").seeds_of(label) if run.fresh(STAGE, model_name(str(trained_label(label)), s))
     ]
     if not seeds:
         hint = command_line("train", "--run", folder, "--model", str(trained_label(label)))

@@ -127,17 +127,11 @@ def suggestion_figure(state: np.ndarray, past: np.ndarray, suggested: np.ndarray
     axes = figure.subplots()
     for start, end in past:
         axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "0.75", "lw": 1})
-    axes.scatter(*state[:, :2].T, s=25, color=OBJECT, lw=0)
+    axes.scatter(state[:, 0], state[:, 1], s=25, color=OBJECT, lw=0)
     for number, (start, end) in enumerate(suggested, 1):
         axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": PREDICTED, "lw": 2})
-        axes.text(
-            *start,
-            str(number),
-            fontsize=11,
-            ha="center",
-            va="center",
-            bbox={"fc": "white", "ec": PREDICTED, "pad": 1.5},
-        )
+        box = {"fc": "white", "ec": PREDICTED, "pad": 1.5}
+        axes.text(start[0], start[1], str(number), fontsize=11, ha="center", va="center", bbox=box)
     axes.set_title(f"to record, in this order ({len(past)} recorded in grey)", fontsize=10)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")

@@ -9,7 +9,7 @@ LIBRARIES := libgl1 libegl1 libgles2 libx11-6 libudev1 libusb-1.0-0
 IMPORTS := import importlib.util, cv2, mediapipe, open3d; importlib.util.find_spec('pyrealsense2') and __import__('pyrealsense2')
 export PYTHONUNBUFFERED := 1
 
-EXPERIMENTS := table1 dynamics planning ablations data-fidelity recordings robot noise guidance search pushes
+EXPERIMENTS := table1 dynamics planning ablations data-fidelity few-strokes recordings robot noise guidance search pushes
 
 SAMPLE ?= 150
 

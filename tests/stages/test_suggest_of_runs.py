@@ -34,7 +34,7 @@ def test_the_command_lists_strokes_from_where_the_last_one_ended(run):
 
 
 def test_a_cloud_says_where_the_object_is_now(run, tmp_path):
-    state = suggest_in(run, "piegraph", None, 1, 0).state + [0.05, -0.03, 0]
+    state = suggest_in(run, "piegraph", None, 1, 0).state + np.array([0.05, -0.03, 0])
     np.savez(tmp_path / "now.npz", points=np.repeat(state, 4, 0) + np.random.default_rng(0).normal(0, 1e-4, (200, 3)))
     made = suggest_in(run, "piegraph", tmp_path / "now.npz", 2, 0)
     np.testing.assert_allclose(made.state.mean(0), state.mean(0), atol=0.01)

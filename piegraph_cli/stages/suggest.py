@@ -71,7 +71,7 @@ def suggest_in(folder: Path, label: str, state: Path | None, count: int, seed: i
     found = suggest(foresee, model.trained.calibration, now, pose, size, space, known, count, seed)
     ends = whole.ends.double().numpy()
     past = [moved_in_plane(moved_in_plane(e, _inverse(p)), pose) for e, p in zip(ends, poses, strict=True)]
-    return Suggested(found, now, np.array(past).reshape(-1, 2, 2), len(models), warnings + _gaps(known))
+    return Suggested(found, now, np.array(past).reshape(-1, 2, 2), len(models), warnings + _gaps(known, pose[2]))
 
 
 def _models(run: Run, folder: Path, label: str) -> list[Model]:
@@ -115,8 +115,8 @@ def _inverse(pose: np.ndarray) -> np.ndarray:
     return np.array([-(cosine * pose[0] + sine * pose[1]), sine * pose[0] - cosine * pose[1], -pose[2]])
 
 
-def _gaps(known: np.ndarray) -> list[str]:
-    """Words on what the recorded strokes leave open."""
+def _gaps(known: np.ndarray, turned: float) -> list[str]:
+    """Words on what the recorded strokes leave open on an object that now lies `turned` (rad)."""
     if len(known) < FEWEST:
         return [
             f"learned from {len(known)} strokes: next to nothing is known, and what is suggested is mostly spread out"
@@ -124,7 +124,9 @@ def _gaps(known: np.ndarray) -> list[str]:
     gap = untouched(known)
     if gap is None:
         return []
+    toward = np.degrees(gap[0] + turned) % 360
     return [
-        f"all {len(known)} recorded strokes begin on one side of the object, none within {np.degrees(gap[1]):.0f} degrees: how "
-        "it moves when it is pushed from there is not determined"
+        f"all {len(known)} recorded strokes begin on one side of the object, none in the {np.degrees(gap[1]):.0f} degrees "
+        f"around its other side, which now faces {toward:.0f} degrees (from x to y): how it moves when it is pushed from there "
+        "is not determined"
     ]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.stages.suggest import suggest_in
+from piegraph_cli.stages.suggest import _gaps, suggest_in
 from tests.cli import piegraph, piegraph_json
 
 
@@ -52,3 +52,17 @@ def test_what_cannot_be_asked_is_refused(run, tmp_path):
         suggest_in(run, "piegraph", tmp_path / "few.npz", 1, 0)
     ended = piegraph("suggest", "--run", run, "--picture", "now.jpg", check=2)
     assert "use .png" in ended.stderr
+
+
+def test_the_side_that_was_never_pushed_is_named_as_the_object_lies_now():
+    angle = np.radians([-60, 0, 60])
+    known = np.column_stack([np.cos(angle), np.sin(angle), np.zeros((3, 3))])
+    (word,) = _gaps(known, 0.0)
+    assert "all 3 recorded strokes" in word
+    assert "240 degrees" in word
+    assert "faces 180 degrees" in word
+    (turned,) = _gaps(known, np.pi / 2)
+    assert "faces 270 degrees" in turned
+    around = np.radians([0, 90, 180, 270])
+    assert _gaps(np.column_stack([np.cos(around), np.sin(around), np.zeros((4, 3))]), 0.0) == []
+    assert "learned from 2 strokes" in _gaps(known[:2], 0.0)[0]

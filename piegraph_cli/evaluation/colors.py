@@ -23,7 +23,7 @@ MODELS = {
     "pgnd": "#b26d00",
     "gbnd": "#af0a74",
     "rigid": "#40ac69",
-    "rigid-gp": "#0e8f8a",
+    "rigid-gp": "#d96cc7",
     "static": "#7c848f",
     "greedy": "#356286",
 }
@@ -32,7 +32,7 @@ MODELS = {
 DARKEST, LIGHTEST = 0.48, 0.69
 """Lightness (OKLab) within which shades of these keep that contrast."""
 
-MARKERS = "osD^vP*Xdph<>"
+MARKERS = "osD^vP*Xdph<>8"
 """Beside colours, for those who see none of them and for prints in grey."""
 
 _LABEL = re.compile(r"([^:@]+)(?::([^:@]+))?(?:@([0-9]{1,9}))?")

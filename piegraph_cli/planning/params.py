@@ -23,7 +23,7 @@ TrialLabels = Annotated[tuple[Label | Literal["greedy"], ...], BeforeValidator(s
 ENVIRONMENT = "ENV"
 """The last part of a path, or how it begins before a hyphen: the name of each environment."""
 Looks = Literal["particles", "cameras"]
-LOOK = "what the planner knows of the object in --env: its particles, or what cameras see of it, and of the goal"
+LOOK = "how --env is seen"
 
 FIXED_GOALS = "goals of --env stay in place whatever the start, as the paper's; else each lies so far from its start"
 
@@ -134,7 +134,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
     sight: Annotated[SightParams, BeforeValidator(split_pairs)] = Field(
         SightParams(), description="how the cameras of --look cameras see: NAME=VALUE,... (docs/trials.md)"
     )
-    episodes: int = Field(1, ge=1, description="episodes in --env, each from its own random start")
+    episodes: int = Field(1, ge=1, description="episodes in --env")
     fixed_goals: bool = Field(False, description=FIXED_GOALS)
     min_length: float = Field(0.02, ge=0.001, description="shortest stroke [m]")
     max_length: float = Field(0.14, gt=0, description="longest push [m]")

@@ -53,7 +53,7 @@ def test_settings_that_people_set_first_fit_on_a_screen_and_the_rest_follows(mon
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 def test_the_help_of_a_stage_has_every_setting(stage):
     text = piegraph(stage.name, "--help").stdout
-    assert all(f"--{name.replace('_', '-')}" in text for name in stage.call.first)
+    assert all(f"--{name.rstrip('_').replace('_', '-')}" in text for name in stage.call.first)
     for name, field in stage.params.model_fields.items():
         flag = name.upper() if name == stage.call.argument else f"--{name.replace('_', '-')}"
         tables = not field.metadata and "dict" in str(field.annotation)

@@ -22,7 +22,7 @@ def train_params(folder):
 
 
 def test_a_missing_package_names_the_extra(tmp_path):
-    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.commands.program import main; main()"
+    code = "import sys; sys.modules['pymunk'] = None; from piegraph_cli.__main__ import main; main()"
     command = [sys.executable, "-c", code, "simulate", "tblock", "--out", str(tmp_path / "r"), "--sequences", "1"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 4, done.stderr
@@ -340,7 +340,7 @@ def test_settings_that_failed_are_not_kept(folder):
 
 
 def test_ray_that_is_not_installed_is_named(folder):
-    code = "import sys; sys.modules['ray'] = None; from piegraph_cli.commands.program import main; main()"
+    code = "import sys; sys.modules['ray'] = None; from piegraph_cli.__main__ import main; main()"
     command = [sys.executable, "-c", code, "dataset", "--run", str(folder), "--backend", "ray", "--force"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 4, done.stderr

@@ -165,11 +165,12 @@ def test_static_is_what_was_there():
 
 
 def test_no_two_models_are_one():
-    """But `gnn-aug` and `gnn`, which differ in what they learn from alone."""
-    found = {name: predict(name) for name in MODELS if name != "gnn-aug"}
+    """But `gnn-aug` and `gnn`, `rigid-gp` and `rigid`, which differ in what they learn from alone, and in what they learn."""
+    found = {name: predict(name) for name in MODELS if name not in ("gnn-aug", "rigid-gp")}
     for one, other in combinations(found, 2):
         assert apart(found[one], found[other]) > 5e-4, (one, other)
     assert torch.equal(predict("gnn-aug"), found["gnn"])
+    assert torch.equal(predict("rigid-gp"), found["rigid"])
 
 
 CHANGES = {

@@ -98,7 +98,7 @@ def test_every_module_has_its_tests():
     assert "evaluation/figures.py" not in found
     assert all(any(path.startswith(begin) for begin, _ in TESTS) for path in found)
     assert selection_of("planning/search.py")[0] == "tests/planning"
-    assert modules("planning/se") == ["planning/search.py"]
+    assert modules("planning/sear") == ["planning/search.py"]
 
 
 def test_what_is_known_holds_until_the_module_or_for_survivors_the_tests_change(tmp_path):

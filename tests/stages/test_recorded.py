@@ -101,7 +101,7 @@ def stubs(scene):
     """Rendering, detection and segmentation that know the scene; each call is noted."""
     noted = SimpleNamespace(recorded=[], detected=[], found=[], segmented=[])
 
-    def record(environment, seed, strokes, cameras, hand, modes, trouble):
+    def record(environment, seed, strokes, cameras, hand, modes, trouble, texture):
         noted.recorded.append((environment, seed, strokes, [c.name for c in cameras], hand, modes))
         return (frame_of(scene, f) for f in range(FRAMES))
 
@@ -454,13 +454,20 @@ def test_tracking_is_given_the_hand_for_picks_and_tells_of_poor_clouds(run, monk
     held = np.zeros(FRAMES, bool)
     doubt, lost = np.linspace(0.010, 0.016, FRAMES), np.zeros(FRAMES, bool)
 
-    def tracked(given, params, hand, grasp, progress, views):
+    def tracked(given, params, hand, grasp, progress, views, time):
         seen.append((given, params, hand, grasp, list(progress(range(3)))))
         assert [len(views[0]), len(views)] == [len(frames["K"]), FRAMES]
         none, all_seen = np.zeros(FRAMES), np.ones((FRAMES, 4))
         positions = np.zeros((FRAMES, 4, 3))
         return SimpleNamespace(
-            positions=positions, residual=none, weight=all_seen, misfit=none, doubt=doubt, held=held, lost=lost
+            positions=positions,
+            residual=none,
+            weight=all_seen,
+            misfit=none,
+            doubt=doubt,
+            held=held,
+            lost=lost,
+            sheet=False,
         )
 
     from piegraph_cli.physics import tracking

@@ -59,10 +59,14 @@ NO_MEMORY = ("cannot allocate memory", "failed to map segment", "out of memory",
 
 
 def short_of_memory(processes: int) -> str:
-    """What will not fit where so many processes work at a time; empty where nothing is known to be short."""
+    """What will not fit where so many processes work at a time; empty where nothing is known to be short.
+
+    Raises `MissingError` where a process may not have the addresses that libraries take: in C they crash for want of them.
+    """
     free, limit = free_memory(), resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < SPACE:
-        return f"each process takes about {SPACE / 1e9:.1f} GB of addresses, and may take {limit / 1e9:.1f}: raise `ulimit -v`"
+        takes = f"each process takes about {SPACE / 1e9:.1f} GB of addresses, and may take {limit / 1e9:.1f}"
+        raise MissingError(f"there is not enough memory: {takes}", hint="raise `ulimit -v`")
     if free is None or free >= processes * NEED:
         return ""
     what = (

@@ -73,7 +73,8 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
             "a worker process was killed, for want of memory perhaps", hint="fewer --jobs; what is done is kept"
         ) from None
     except KeyboardInterrupt:
-        get_reusable_executor().shutdown(wait=True, kill_workers=True)
+        # the one that is there: of other settings it would wait for the work at hand, and start another
+        get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
         raise
 
 

@@ -85,9 +85,7 @@ class RigidBody(nn.Module):
         (first, last), owner = data.strokes[chosen].T, data.owner[chosen]
         frames = [body_frame(rest, self.shape.numpy()) for rest in data.rest]
         before, after = (data.positions[k][..., :2] for k in (first, last))
-        poses = np.array(
-            [_compose(planar_fit(data.rest[o][:, :2], x), frames[o]) for o, x in zip(owner, before, strict=True)]
-        )
+        poses = np.array([pose_now(data.rest[o], x, frames[o]) for o, x in zip(owner, before, strict=True)])
         ends = data.whole()[chosen].ends.flatten(1)
         arrays = (torch.as_tensor(np.asarray(a, np.float32)) for a in (poses, ends, before, after))
         at, along, start, end = arrays
@@ -201,9 +199,17 @@ def carry(points: Tensor, before: Tensor, after: Tensor) -> Tensor:
     return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1) + after[:, None, :2]
 
 
-def _compose(motion: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """A pose after a motion of the plane."""
-    return np.array([*moved_in_plane(pose[:2], motion), pose[2] + motion[2]])
+def pose_now(rest: np.ndarray, now: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """The pose [3] of a body at `frame` [3] (m, rad) when its particles were `rest` [N, 2 or 3], now that they are `now`."""
+    motion = planar_fit(rest[:, :2], now[:, :2])
+    return np.array([*moved_in_plane(frame[:2], motion), frame[2] + motion[2]])
+
+
+def seen_from(poses: Tensor, points: Tensor) -> Tensor:
+    """Points [B, 2] (m) in the frames of bodies at poses [B, 3]."""
+    cosine, sine = poses[:, 2].cos(), poses[:, 2].sin()
+    x, y = (points - poses[:, :2]).unbind(1)
+    return torch.stack([cosine * x + sine * y, cosine * y - sine * x], 1)
 
 
 def _centred(rest: np.ndarray) -> np.ndarray:

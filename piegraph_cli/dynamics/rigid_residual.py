@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.rigid_body import RigidBody, carry
+from piegraph_cli.dynamics.rigid_body import RigidBody, carry, seen_from
 
 MOST = 200
 """Strokes that are remembered: as many of all, evenly spread."""
@@ -92,7 +92,7 @@ class RigidResidual(RigidBody):
 
     def _features(self, poses: Tensor, ends: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
         """What tells strokes apart [B, 7], see `_GROUPS`, and how far [B] what is left is to be expected, 0 to 1."""
-        start, end = (in_frame(poses, torch.cat([p, poses[:, 2:]], 1))[:, :2] for p in (ends[:, :2], ends[:, 2:]))
+        start, end = (seen_from(poses, points) for points in (ends[:, :2], ends[:, 2:]))
         along, radius = end - start, self._radius()
         motion = in_frame(poses, moved) * moved.new_tensor([1.0, 1.0, radius])
         length = along.norm(dim=1, keepdim=True).clamp_min(1e-9)
@@ -102,10 +102,8 @@ class RigidResidual(RigidBody):
 
 def in_frame(poses: Tensor, others: Tensor) -> Tensor:
     """Other poses [B, 3] (m, rad) as seen from poses [B, 3]; turns from -pi to pi."""
-    cosine, sine = poses[:, 2].cos(), poses[:, 2].sin()
-    x, y, yaw = (others - poses).unbind(1)
-    turn = torch.remainder(yaw + math.pi, 2 * math.pi) - math.pi
-    return torch.stack([cosine * x + sine * y, cosine * y - sine * x, turn], 1)
+    turn = torch.remainder(others[:, 2:] - poses[:, 2:] + math.pi, 2 * math.pi) - math.pi
+    return torch.cat([seen_from(poses, others[:, :2]), turn], 1)
 
 
 def _pose_after(poses: Tensor, before: Tensor, after: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from piegraph_cli.dynamics.reliability import Calibration
+from piegraph_cli.dynamics.rigid_body import seen_from
 from piegraph_cli.dynamics.stroke import Foresee, Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.planning.proposals import StrokeSpace
@@ -38,11 +39,9 @@ class Suggestions:
 
 def on_object(strokes: Strokes, poses: np.ndarray, size: float) -> np.ndarray:
     """Start, end and mode of strokes [B] as seen from the object at poses [B, 3] (m, rad): [B, 5], in sizes (m) of it."""
-    ends = strokes.ends.double().numpy() - poses[:, None, :2]
-    cosine, sine = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x, y = ends[..., 0], ends[..., 1]
-    seen = np.stack([cosine * x + sine * y, cosine * y - sine * x], -1).reshape(len(ends), 4) / size
-    return np.column_stack([seen, strokes.mode.numpy()])
+    at, ends = torch.as_tensor(poses), strokes.ends.double()
+    start, end = (seen_from(at, points) / size for points in ends.unbind(1))
+    return np.column_stack([start, end, strokes.mode])
 
 
 def suggest(

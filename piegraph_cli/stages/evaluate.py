@@ -91,12 +91,16 @@ def run(inputs: dict[str, Any], params: ModelEvaluateParams, context: Context) -
 def _check_apart(inputs: dict[str, Any], run: "Run") -> None:
     """Refuse a model whose prior comes from the simulator of the test: it has seen what it is tested on."""
     model = inputs.get("model")
-    if model is None or "prior_simulator" not in model or run.producer("tracks") != simulate.STAGE:
+    if model is None or run.producer("tracks") != simulate.STAGE:
         return
-    environment = run.params(simulate.STAGE.name).environment
-    if SIMULATORS[environment] in model.texts("prior_simulator"):
+    require_apart(model, run.params(simulate.STAGE.name).environment)
+
+
+def require_apart(model: "Artifact", environment: str) -> None:
+    """Refuse a model whose prior comes from the environment's simulator."""
+    if "prior_simulator" in model and SIMULATORS[environment] in model.texts("prior_simulator"):
         raise DataError(
-            f"its prior has learned from {SIMULATORS[environment]}, which the test sequences come from",
+            f"its prior has learned from {SIMULATORS[environment]}, which it is tested on",
             str(model.path),
             "a prior of other physics: --from prior",
         )

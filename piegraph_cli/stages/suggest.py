@@ -8,10 +8,10 @@ import torch
 
 from piegraph_cli.dynamics.models import make_foresee
 from piegraph_cli.dynamics.params import split_label, trained_label
-from piegraph_cli.dynamics.rigid_body import body_frame
+from piegraph_cli.dynamics.rigid_body import body_frame, carry, pose_now
 from piegraph_cli.dynamics.splits import TRAIN
+from piegraph_cli.dynamics.tuning import unseen
 from piegraph_cli.errors import DataError, UsageError, command_line
-from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.planner import choose_modes, stroke_space
 from piegraph_cli.planning.question import chosen_particles, finite
@@ -51,27 +51,27 @@ def suggest_in(folder: Path, label: str, state: Path | None, count: int, seed: i
     models = _models(run, folder, label)
     model = models[0]
     assert model.trained is not None
-    data = read_sequences(run.read("dataset"), TRAIN, split_label(label)[2] or None, run.params("train").seeds[0])
+    limit = split_label(label)[2]
+    data = read_sequences(run.read("dataset"), TRAIN, limit or None, run.params("train").seeds[0])
+    data = unseen(data) if limit == 0 else data
     shape = np.asarray(data.rest[0], float)
     shape = shape - [*shape[:, :2].mean(0), 0]
     size = float(np.sqrt(np.square(shape[:, :2]).sum(1).mean()))
     before, whole = data.positions[data.strokes[:, 0]], data.whole()
     frames = [body_frame(rest, shape[:, :2]) for rest in data.rest]
-    poses = np.array([_pose(data.rest[o], x, frames[o]) for o, x in zip(data.owner, before, strict=True)]).reshape(
-        -1, 3
-    )
+    poses = np.array([pose_now(data.rest[o], x, frames[o]) for o, x in zip(data.owner, before, strict=True)])
+    poses = poses.reshape(-1, 3)
     known = on_object(whole, poses, size)
     now, rest, warnings = _where(run, model, state)
-    pose = _pose(rest, now, body_frame(rest, shape[:, :2]))
+    pose = pose_now(rest, now, body_frame(rest, shape[:, :2]))
     settings = model.settings
     modes = choose_modes(settings, model.trained.modes, None)
     at_rest = torch.as_tensor(rest, dtype=torch.float32)
     foresee = [make_foresee(one.label, one.trained, at_rest, one.settings) for one in models]
     space = stroke_space(at_rest, settings, modes, settings.pusher_radius)
     found = suggest(foresee, model.trained.calibration, now, pose, size, space, known, count, seed)
-    ends = whole.ends.double().numpy()
-    past = [moved_in_plane(moved_in_plane(e, _inverse(p)), pose) for e, p in zip(ends, poses, strict=True)]
-    return Suggested(found, now, np.array(past).reshape(-1, 2, 2), len(models), warnings + _gaps(known, pose[2]))
+    past = carry(whole.ends.double(), torch.as_tensor(poses), torch.as_tensor(pose).expand(len(poses), 3)).numpy()
+    return Suggested(found, now, past, len(models), warnings + _gaps(known, pose[2]))
 
 
 def _models(run: Run, folder: Path, label: str) -> list[Model]:
@@ -101,18 +101,6 @@ def _where(run: Run, model: Model, state: Path | None) -> tuple[np.ndarray, np.n
         raise DataError("no stroke was recorded", str(data.path), "give --state, the object's cloud now")
     end = data["strokes"][data["stroke_sequence"] == last][-1, 1]
     return data["positions"][end], data["positions"][data["sequence_start"][last]], []
-
-
-def _pose(rest: np.ndarray, now: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """The pose [3] of an object at `frame` [3] when its particles were `rest` [N, 3], now that they are `now`."""
-    motion = planar_fit(rest[:, :2], now[:, :2])
-    return np.array([*moved_in_plane(frame[:2], motion), frame[2] + motion[2]])
-
-
-def _inverse(pose: np.ndarray) -> np.ndarray:
-    """The pose [3] of the world as seen from the object."""
-    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    return np.array([-(cosine * pose[0] + sine * pose[1]), sine * pose[0] - cosine * pose[1], -pose[2]])
 
 
 def _gaps(known: np.ndarray, turned: float) -> list[str]:

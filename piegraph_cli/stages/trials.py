@@ -14,6 +14,7 @@ from piegraph_cli.errors import DataError, command_line
 from piegraph_cli.params import validated
 from piegraph_cli.planning.params import PlanParams, TrialParams, TrialsParams
 from piegraph_cli.stages import train
+from piegraph_cli.stages.evaluate import require_apart
 from piegraph_cli.stages.steps import check_environments
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call
@@ -167,7 +168,9 @@ def _read_model(params: TrialParams) -> "Artifact | None":
             f"{command_line('run', env, '--run', folder)}, or "
             + command_line("train", "--run", folder, "--model", params.plan.model),
         )
-    return _read_once(params.network, "model", key)
+    model = _read_once(params.network, "model", key)
+    require_apart(model, str(params.plan.env))
+    return model
 
 
 def _read_metrics(params: TrialParams) -> "Artifact | None":

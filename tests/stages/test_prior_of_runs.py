@@ -88,10 +88,22 @@ def test_no_model_is_tested_in_the_simulator_of_its_prior(tmp_path):
     for simulator, refused in (("Pymunk", True), ("MuJoCo", False), ("analytic quasi-static pushing", False)):
         model = artifact({"prior_simulator": np.array([simulator.encode()])})
         if refused:
-            with pytest.raises(DataError, match="learned from Pymunk, which the test sequences come from"):
+            with pytest.raises(DataError, match="learned from Pymunk, which it is tested on"):
                 evaluate._check_apart({"model": model}, run)
         else:
             evaluate._check_apart({"model": model}, run)
+
+
+def test_no_trial_is_played_in_the_simulator_of_a_prior(tmp_path, monkeypatch):
+    from piegraph_cli.planning.params import PlanParams, TrialParams
+    from piegraph_cli.stages import trials
+
+    (tmp_path / "model.h5").write_bytes(b"")
+    monkeypatch.setattr(trials, "_read_once", lambda *_: artifact({"prior_simulator": np.array([b"MuJoCo"])}))
+    settings = {"goal": 0, "seed": 0, "network": tmp_path / "model.h5"}
+    with pytest.raises(DataError, match="learned from MuJoCo, which it is tested on"):
+        trials._read_model(TrialParams(plan=PlanParams(env="toy"), **settings))
+    assert trials._read_model(TrialParams(plan=PlanParams(env="tblock"), **settings))
 
 
 def test_of_no_strokes_only_what_begins_with_a_prior_learns(tmp_path):

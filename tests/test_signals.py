@@ -167,37 +167,3 @@ def test_nothing_is_held_back_afterwards():
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
     assert signals.stopped() is None
-
-
-BUSY = """
-import os, sys, time
-from piegraph_cli.__main__ import main
-from piegraph_cli.commands import program
-from piegraph_cli.workspace.parallel import each
-
-def busy(item):
-    print(os.getpid(), flush=True)
-    end = time.monotonic() + 40
-    while time.monotonic() < end:
-        pass
-
-def work(*arguments, **options):
-    list(each(busy, range(4), 2, "local", None))
-
-program.app = work
-main()
-"""
-
-
-def test_an_interruption_does_not_wait_for_the_work_at_hand(tmp_path):
-    (tmp_path / "job.py").write_text(BUSY)
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([sys.executable, "job.py"], cwd=tmp_path, **pipes)
-    assert process.stdout is not None
-    for _ in range(2):
-        process.stdout.readline()
-    begin = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert time.monotonic() - begin < 25

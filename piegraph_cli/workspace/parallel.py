@@ -47,7 +47,6 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
 
     warnings.filterwarnings("ignore", message=".*joblib will operate in serial mode")
     import joblib
-    from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.backend.resource_tracker import ensure_running
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -72,10 +71,6 @@ def in_processes(tasks: Sequence[Callable[[], Result]], jobs: int, in_order: boo
         raise MissingError(
             "a worker process was killed, for want of memory perhaps", hint="fewer --jobs; what is done is kept"
         ) from None
-    except KeyboardInterrupt:
-        # the one that is there: of other settings it would wait for the work at hand, and start another
-        get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
-        raise
 
 
 def _no_semaphores() -> str:

@@ -29,7 +29,7 @@ def artifact(arrays: Mapping[str, Any], params: Mapping[str, Any] | None = None)
 def context(folder: Path = Path("nowhere")) -> Any:
     """No progress, no checkpoint."""
     return SimpleNamespace(
-        run=SimpleNamespace(folder=folder),
+        run=SimpleNamespace(folder=folder, producer=lambda artifact: None),
         unit="one",
         device="cpu",
         checkpoint=SimpleNamespace(load=lambda: None, save=lambda state: None),

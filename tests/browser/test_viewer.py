@@ -118,10 +118,19 @@ def test_what_is_switched_off_is_not_drawn(screen, layer):
     switch(screen, False, *others)  # what lies on each other hides each other
     box.uncheck()
     hidden = still(screen)
-    box.check()
-    shown = until(lambda: now if changed(hidden, now := still(screen)) > 60 else None, f"{layer} in the scene")
-    box.uncheck()
-    until(lambda: changed(hidden, still(screen)) < 0.05 * changed(hidden, shown) + 10, f"a scene without {layer}")
+
+    def comes_and_goes() -> bool:  # again, where something before it was drawn only now
+        nonlocal hidden
+        box.check()
+        shown = until(lambda: now if changed(hidden, now := still(screen)) > 60 else None, f"{layer} in the scene")
+        box.uncheck()
+        before, hidden = (
+            hidden,
+            until(lambda: now if changed(shown, now := still(screen)) > 60 else None, f"{layer} taken away"),
+        )
+        return changed(before, hidden) < 0.05 * changed(before, shown) + 10
+
+    until(comes_and_goes, f"a scene without {layer}")
     box.set_checked(layer != "true particles")
     switch(screen, True, *others)
     screen.press("object")

@@ -74,9 +74,10 @@ def _settings(run: "Run", unit: str) -> TrialParams:
 
 
 def _check(run: "Run", units: Sequence[Any], processes: int) -> list[str]:
-    """Of each environment, with the settings of one of its trials."""
+    """Of each task's environment, with the settings of one of its trials."""
     of = {split_name(unit)[0]: unit for unit in units}
-    return check_environments([(env, _settings(run, unit).plan) for env, unit in of.items()], processes)
+    plans = [_settings(run, unit).plan for unit in of.values()]
+    return check_environments([(plan.env, plan) for plan in plans], processes)
 
 
 def split_name(name: str) -> tuple[str, str, int, int]:

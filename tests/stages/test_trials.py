@@ -131,6 +131,7 @@ def test_goals_of_another_kind_are_rows_of_their_own(runs):
     moved, crumpled = (run.settings(STAGE, name).plan for name in names[::2])
     assert (moved.env, crumpled.env) == ("tshirt", "tshirt")
     assert (moved.options, crumpled.options) == ({"young": 2e4}, {"young": 2e4, "goal": "crumpled"})
+    assert isinstance(STAGE.check(run, names, 1), list)  # what is checked before the first trial knows tasks too
     assert run.key(STAGE, names[0]) != run.key(STAGE, names[2])
     recipe = Recipe(STAGES, {"trials": SMALL | {"envs": ["tshirt"], "models": ["static"], "options": {"young": 2e4}}})
     alone = Run(runs / "paper", recipe)

@@ -16,13 +16,6 @@ from piegraph_cli.params import PICK
 STILL = 1e-3
 """A hand that moves less than this between two frames (m) rests."""
 
-CLEAR = 0.013
-"""A pusher's centre that comes no nearer to a particle (m) touches nothing."""
-SHORTEST_RUN = 0.01
-"""A push that begins nearer to its end (m) is no push."""
-MOVED = 0.7
-"""Share of the pushes that begin elsewhere on their line, where that is wanted."""
-
 
 @dataclass(frozen=True)
 class Sequences:
@@ -92,15 +85,12 @@ class Pairs:
         shape_weight: float = 0.1,
         mirror: bool = False,
         turn: bool = False,
-        run_up: float = 0.0,
     ):
         """`rest` [S, N, 3] (m): objects at rest; `owner` [P]: the object of each pair; `grasp` [P]: its grasped particle.
 
         `seen` [P, N]: the particles that teach, all by default.
 
-        `mirror` reflects half of the pairs in y, `turn` turns each about the vertical, anew in every step. With `run_up`
-        (m) pushes begin up to so much further back on their line, or as near as nothing is touched: how a pusher came to
-        where it touches makes no difference where pushes are slow.
+        `mirror` reflects half of the pairs in y, `turn` turns each about the vertical, anew in every step.
         """
         self.start, self.end, at_rest = (
             torch.as_tensor(np.asarray(a, np.float32), device=device) for a in (start, end, rest)
@@ -110,7 +100,6 @@ class Pairs:
         self.owner, self.grasp = (torch.as_tensor(np.asarray(a, np.int64), device=device) for a in (owner, grasp))
         self.seen = None if seen is None else torch.as_tensor(seen, device=device)
         self.shape_weight, self.mirror, self.turn = shape_weight, mirror, turn
-        self.free = free_way(self.start, self.strokes, run_up) if run_up > 0 else None
 
     @classmethod
     def of(cls, data: Sequences, neighbors: int, device: str = "cpu", **settings) -> "Pairs":
@@ -134,8 +123,6 @@ class Pairs:
         """`dynamics_loss` (dm^2) of the network on the chosen pairs [B], varied at random where `rng` is given."""
         rest = self.rest[self.owner[chosen]]
         start, end, strokes = self.start[chosen], self.end[chosen], self.strokes[chosen]
-        if rng is not None and self.free is not None:
-            strokes = begun_elsewhere(strokes, self.free[chosen], rng)
         if rng is not None and (self.mirror or self.turn):
             planar = planar_motions(rng, len(chosen), self.mirror, self.turn).to(start)
             start, end = move_in_plane(start, planar), move_in_plane(end, planar)
@@ -153,32 +140,6 @@ class Pairs:
 
     def __len__(self) -> int:
         return len(self.start)
-
-
-def free_way(positions: torch.Tensor, strokes: Strokes, most: float) -> torch.Tensor:
-    """How far [B, 2] (m, from at most 0 to at least 0) starts can move along strokes [B] and touch no particle [B, N, 3].
-
-    Back by `most` at most, and no nearer to the end than a push is long. Picks begin where they begin.
-    """
-    line = strokes.planar
-    relative = positions[..., :2] - line.start[:, None]
-    ahead, aside = (relative @ line.rotation).unbind(-1)
-    half = (CLEAR**2 - aside.square()).clamp_min(0).sqrt()
-    touched = aside.abs() < CLEAR
-    far = torch.full_like(ahead, torch.inf)
-    back = torch.where(touched & (ahead < 0), -ahead - half, far).amin(1).clamp(0, most)
-    forward = torch.where(touched & (ahead > -CLEAR), ahead - half, far).amin(1)
-    forward = torch.minimum(forward, line.length - SHORTEST_RUN).clamp_min(0)
-    return torch.stack([-back, forward], -1) * (strokes.mode != PICK)[:, None]
-
-
-def begun_elsewhere(strokes: Strokes, free: torch.Tensor, rng: np.random.Generator) -> Strokes:
-    """Strokes [B], most of which begin anywhere between the bounds of `free_way` [B, 2] (m) on their line."""
-    share = torch.as_tensor(rng.random(len(strokes))).to(free)
-    moved = torch.as_tensor(rng.random(len(strokes)) < MOVED).to(free)
-    along = (free[:, 0] + (free[:, 1] - free[:, 0]) * share) * moved
-    shift = along[:, None] * strokes.along / strokes.length[:, None]
-    return replace(strokes, start=strokes.start + nn.functional.pad(shift, (0, strokes.start.shape[-1] - 2)))
 
 
 def planar_motions(rng: np.random.Generator, count: int, mirror: bool, turn: bool) -> torch.Tensor:

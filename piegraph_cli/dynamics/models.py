@@ -94,7 +94,7 @@ def _pairs(mirror: bool, turn: bool) -> Callable[[Sequences, GraphParams, str], 
 
     def examples(data: Sequences, params: GraphParams, device: str) -> Pairs:
         settings = {"shape_weight": params.shape_weight, "mirror": mirror and params.mirror, "turn": turn}
-        return Pairs.of(data, params.neighbors, device, **settings, run_up=params.run_up)
+        return Pairs.of(data, params.neighbors, device, **settings)
 
     return examples
 

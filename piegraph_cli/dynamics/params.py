@@ -109,20 +109,12 @@ class LearningParams(FittedParams):
 class GraphParams(LearningParams):
     """Settings of the graph networks that predict a stroke at once."""
 
-    later: ClassVar[tuple[str, ...]] = ("run_up",)
-
     neighbors: int = Field(12, ge=1, description="neighbours of a particle in the graph")
     hidden: int = Field(32, ge=1, description="width of the network")
     layers: int = Field(4, ge=1, description="message-passing layers")
     pool: bool = Field(True, description="mix the mean over all particles into each layer")
     shape_weight: float = Field(0.1, ge=0, description="weight of the shape loss")
     mirror: bool = Field(False, description="mirror half of the pairs: right where the mirror image moves alike")
-    run_up: float = Field(
-        0.0,
-        ge=0,
-        description="in training, pushes begin up to this further back on their line, where nothing is in the way, or as "
-        "near as nothing is touched: right for slow pushes of a thin tool [m]",
-    )
 
 
 PRIOR = Path("prior")
@@ -133,7 +125,7 @@ SHIPPED_PRIOR = Path(__file__).parent.parent / "priors" / "blocks.h5"
 class EGNNParams(GraphParams):
     """Settings of piegraph's network."""
 
-    later: ClassVar[tuple[str, ...]] = (*GraphParams.later, "prior")
+    later: ClassVar[tuple[str, ...]] = ("prior",)
 
     mirror: bool = Field(True, description="equivariant to reflection: wrong where left and right differ unseen")
     action_head: bool = Field(True, description="add a displacement in the stroke's frame")

@@ -206,6 +206,8 @@ def main() -> int:
     parser.add_argument("seconds", type=float, help="how long; the runs that are under way then are finished")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    # a shell's background jobs ignore it, and so would every command that is stopped here
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     import_all()
     gc.collect()
     gc.freeze()

@@ -4,18 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from piegraph_cli.dynamics.examples import (
-    CLEAR,
-    Pairs,
-    Sequences,
-    Windows,
-    begun_elsewhere,
-    free_way,
-    planar_motions,
-)
+from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows, planar_motions
 from piegraph_cli.dynamics.losses import dynamics_loss
-from piegraph_cli.dynamics.rigid_kernel import push
-from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from tests import strokes as of_strokes
 
@@ -177,71 +167,3 @@ def test_noise_is_on_the_past_alone_and_turns_are_of_the_whole_window():
     torch.testing.assert_close(*ahead, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(turned.past[..., 2], plain.past[..., 2])
     assert torch.equal(turned.valid, plain.valid)
-
-
-def pushes(starts, ends, modes=PUSH) -> Strokes:
-    return Strokes.of(
-        np.array(starts, float), np.array(ends, float), np.broadcast_to(modes, len(starts)).astype(np.uint8)
-    )
-
-
-SQUARE = np.array([[x, y, 0.01] for x in (0.0, 0.01, 0.02) for y in (0.0, 0.01, 0.02)])
-
-
-def test_the_free_way_of_a_stroke_ends_where_something_is_touched():
-    begun = pushes([[-0.05, 0.01], [-0.05, 0.01], [0.015, 0.01], [-0.05, 0.05]], [[0.03, 0.01]] * 3 + [[0.03, 0.05]])
-    scene = torch.as_tensor(np.stack([SQUARE] * 4))
-    scene[1] += torch.tensor([-0.1, 0, 0])  # behind it
-    expected = [[-0.04, 0.05 - CLEAR], [-(0.03 - CLEAR), 0.07], [0, 0], [-0.04, 0.07]]
-    np.testing.assert_allclose(free_way(scene, begun, 0.04), expected, atol=1e-6)
-    held = Strokes(begun.start, begun.end, torch.full_like(begun.mode, PICK), begun.held)
-    assert (free_way(scene, held, 0.04) == 0).all()
-
-
-def test_strokes_begin_elsewhere_on_their_line_within_the_free_way():
-    rng = np.random.default_rng(0)
-    begun = pushes(rng.uniform(-0.1, 0, (400, 2)), rng.uniform(0.05, 0.1, (400, 2)))
-    free = torch.tensor([[-0.04, 0.02]]).expand(400, -1).double()
-    moved = begun_elsewhere(begun, free, rng)
-    assert torch.equal(moved.end, begun.end)
-    along = begun.along / begun.length[:, None]
-    shift = ((moved.start - begun.start) * along).sum(-1)
-    np.testing.assert_allclose(moved.start, begun.start + shift[:, None] * along, atol=1e-9)
-    assert shift.min() < -0.03
-    assert shift.max() > 0.015
-    assert (shift >= -0.04 - 1e-9).all()
-    assert (shift <= 0.02 + 1e-9).all()
-    assert 0.2 < (shift == 0).double().mean() < 0.4
-
-
-def test_an_analytic_body_does_not_tell_where_its_pusher_came_from():
-    """What the variation rests on: a slow push depends on where the line touches, not on where it begins."""
-    rng = np.random.default_rng(1)
-    side = np.linspace(-0.05, 0.05, 9)
-    body = np.stack([*np.meshgrid(side, side), np.full((9, 9), 0.01)], -1).reshape(1, -1, 3).repeat(200, 0)
-    edge = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
-    edges = torch.as_tensor(np.hstack([edge, np.roll(edge, -1, 0)]), dtype=torch.float32)
-    heading = rng.uniform(-np.pi, np.pi, 200)
-    along = np.column_stack([np.cos(heading), np.sin(heading)])
-    begun = pushes(rng.uniform(-0.05, 0.05, (200, 2)) - 0.09 * along, rng.uniform(-0.05, 0.05, (200, 2)))
-    elsewhere = begun_elsewhere(begun, free_way(torch.as_tensor(body), begun, 0.04), rng)
-    assert (elsewhere.start - begun.start).norm(dim=-1).max() > 0.03
-
-    def ends(strokes: Strokes) -> np.ndarray:
-        numbers = torch.tensor([[0.3, 0.04, 0.01, 0.0, 0.0]]).expand(200, -1)
-        return push(edges, torch.zeros(200, 3), strokes.ends.flatten(1).float(), numbers).numpy()
-
-    alike = (np.abs(ends(elsewhere) - ends(begun)) < 2e-3).all(1)
-    assert alike.mean() > 0.95  # where a corner just catches, the solver's steps decide
-    assert (np.linalg.norm(ends(begun)[:, :2], axis=1) > 0.01).mean() > 0.3
-
-
-def test_only_training_varies_where_strokes_begin():
-    data = sequences((PUSH, PUSH))
-    pairs, listener = Pairs.of(data, 3, run_up=0.04), Listener()
-    chosen = torch.arange(len(pairs))
-    pairs.loss(listener, chosen)
-    assert torch.equal(listener.given[1].start, pairs.strokes.start)
-    pairs.loss(listener, chosen, np.random.default_rng(0))
-    assert not torch.equal(listener.given[1].start, pairs.strokes.start)
-    assert torch.equal(listener.given[1].end, pairs.strokes.end)

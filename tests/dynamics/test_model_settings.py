@@ -58,7 +58,6 @@ OTHERS = {
     "pusher": 0.03,
     "step": 0.004,
     "edge_weight": 3.0,
-    "run_up": 0.05,
 }
 """Another value of each setting that is a number."""
 SYMMETRIC = ("egnn-g", "mirror")

@@ -18,7 +18,8 @@ from piegraph_cli.workspace.run import Run
 from tests.cli import PATIENCE, PROGRAM, piegraph
 from tests.envelopes import checked
 
-SETTINGS = {"envs": ["tblock"], "models": ["piegraph"], "goals": 3, "seeds": 4, "strokes": 6}
+SETTINGS = {"envs": ["tblock"], "models": ["piegraph"], "goals": 3, "seeds": 4, "strokes": 6, "thresholds": [1e-6]}
+"""No goal is reached, so no trial is over before its node can be killed."""
 QUICK_TO_NOTICE = {
     "health_check_initial_delay_ms": 0,
     "health_check_period_ms": 500,
@@ -74,14 +75,24 @@ def test_a_node_that_dies_loses_no_trial(cluster, tiny_run, tmp_path):
     shutil.copy(tiny_run / "recipe.toml", runs / "tblock")
     (node,) = cluster.worker_nodes
     raylet, done = process_of(node), runs / "paper" / "trials"
-    options = [f"--{name}={','.join(value) if isinstance(value, list) else value}" for name, value in SETTINGS.items()]
+    options = [
+        f"--{name}={','.join(map(str, value)) if isinstance(value, list) else value}"
+        for name, value in SETTINGS.items()
+    ]
     command = [*PROGRAM, "trials", "--backend", "ray", "--json"]
     process = subprocess.Popen(
         [*command, "--run", runs / "paper", *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+    at_work: list[int] = []
+
+    def begun() -> bool:
+        assert process.poll() is None, "all was done before a node was seen at work"
+        at_work[:] = workers(raylet)
+        return bool(at_work) and done.is_dir() and any(done.glob("*.h5"))
+
     try:
-        wait_for(lambda: done.is_dir() and list(done.glob("*.h5")) and workers(raylet))
-        (worker,) = workers(raylet)
+        wait_for(begun)
+        (worker,) = at_work
         cluster.remove_node(node, allow_graceful=False)
         before = len(list(done.glob("*.h5")))
         out, err = process.communicate()

@@ -7,7 +7,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.clouds import flying_pixels, world_map
-from piegraph_cli.perception.colour import colour_model, lab_bins
+from piegraph_cli.recording.colour import colour_model, lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.places import EDGE, inside, locate

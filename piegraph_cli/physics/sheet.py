@@ -27,6 +27,8 @@ AROUND, ALONG, ALONG_SHARE = 0.06, 0.03, 0.7
 DRIVEN, STIRS = 6.0, 0.004
 """Pixels by which a node's flow is sure enough to drive the cloth, and metres from which a node moves; `FEW` of them do."""
 FEW = 3
+TAUT, SLACK = 1.15, 0.01
+"""How far from the hand the sheet reaches, in lengths of it as it lay flat and metres: what goes farther is told wrongly."""
 SETTLING = 0.4
 """Seconds that pass for a sheet that is let go."""
 RESTING = 2
@@ -35,6 +37,8 @@ LONGEST_STEP = 0.5
 """Seconds between two frames, at most: what moves longer comes to rest."""
 GAIN, FULL = 0.3, 6.0
 """Share of the way to its target that a node goes in each sweep, and the summed weight from which it goes all of that."""
+FOLDED = 0.012
+"""Metres above the table from which a sheet is folded or lifted."""
 AWAY = 1.0
 """Metres that no node moves in a frame: a state that does is none."""
 
@@ -45,14 +49,16 @@ class Hand:
 
     position: np.ndarray
     """[F, 3] metres, NaN where unknown."""
+    holds: np.ndarray
+    """[F] bool: where it holds the sheet."""
     near: np.ndarray
-    """[F] bool: where it is so near to the sheet that it may hold it."""
+    """[F] bool: where it is so near to the sheet, from then on, that it may hold it still."""
     came: int
     """The first frame in which it was near: before, nothing moves but shadows."""
 
 
 class Grip:
-    """The nodes in the hand, which go where it goes as long as the cloth around them goes there too."""
+    """The nodes in the hand, which go where it goes; once it may have let go, as long as the cloth around them does too."""
 
     def __init__(self, hand: Hand | None, nodes: int):
         self.hand = hand
@@ -64,7 +70,13 @@ class Grip:
             self.held[:] = False
             return None
         place, before = self.hand.position[frame], self.hand.position[max(0, frame - 1)]
-        way, around = place - before, self._around(x, flow)
+        way = place - before
+        if self.hand.holds[frame]:
+            if not self.held.any() or not self.hand.holds[frame - 1]:
+                self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
+                return None
+            return way if np.isfinite(way).all() and np.linalg.norm(way) < LEAP else None
+        around = self._around(x, flow)
         stays = bool(around.any()) and np.linalg.norm(flow.mean()[around].mean(0)) < STIRS
         if not self.held.any() or (stays and np.linalg.norm(way) > ALONG):
             self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
@@ -123,23 +135,31 @@ class SheetFollower:
             return before
         flow = Sums(len(before.x))
         for surface, old, now in zip(before.surfaces, self.shots, shots, strict=True):
-            self.flow.onwards(surface, old, now, flow)
+            self.flow.onwards(surface, old, now, self._tells(surface), flow)
         flow = flow.agreed()
         x = self._sane(self._prior(frame, before.x, flow), before.x)
-        x = self._sane(self._corrected(x, before.x, flow, self._state(x), frame, shots), x)
+        state = self._state(x)
+        for k, surface in enumerate(state.surfaces):
+            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens))
+        x = self._sane(self._corrected(x, before.x, flow, state, frame, shots), x)
         state, flow = self._state(x), Sums(len(x))
         for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
             shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
-            self.flow.against(surface, shades, shots[k], flow)
+            self.flow.against(surface, shades, shots[k], self._tells(surface), flow)
         x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
-            self.flow.against(surface, self.atlas.drawn(surface), now, drift)
+            self.flow.against(surface, self.atlas.drawn(surface), now, self._tells(surface), drift)
+        self.drift_, self.flow_ = drift, flow
         x = self._sane(self._corrected(x, x, drift.agreed(), state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
         if self.quiet == RESTING:
             self.atlas.fill(self.state.surfaces, shots)
         return self.state
+
+    def _tells(self, surface: Surface) -> np.ndarray:
+        """Which pixels [P] show something that goes where the sheet goes: a pattern, or folds; no shadow on what lies flat."""
+        return self.atlas.patterned(surface) | (surface.points[:, 2] > FOLDED)
 
     def _carried(self, state: State) -> list[np.ndarray]:
         """The shades [P] of the pixels of a state as the image before has them, NaN for what it does not show."""
@@ -171,6 +191,7 @@ class SheetFollower:
             self.velocity[:] = 0
             return x
         if hand is not None:
+            driven &= ~self._torn(x, hand, flow)
             ways[self.grip.held] = hand
             driven = driven | self.grip.held
         ways[~driven] = 0
@@ -180,6 +201,15 @@ class SheetFollower:
         if not np.isfinite(self.velocity).all():
             self.velocity = np.zeros_like(x)
         return x
+
+    def _torn(self, x: np.ndarray, hand: np.ndarray, flow: Sums) -> np.ndarray:
+        """Leave out of `flow` the nodes [N] that it takes farther from those in the hand than the sheet reaches."""
+        held = self.grip.held
+        flat = np.linalg.norm(self.mesh.points - self.mesh.points[held].mean(0), axis=1)
+        apart = np.linalg.norm(x + flow.mean() - (x[held].mean(0) + hand), axis=1)
+        torn = (apart > TAUT * flat + SLACK) & (flow.weight > 0)
+        flow.way[torn], flow.weight[torn] = 0.0, 0.0
+        return torn
 
     def _state(self, x: np.ndarray) -> State:
         normals = self.mesh.normals(x)

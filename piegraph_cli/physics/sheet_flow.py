@@ -39,20 +39,23 @@ class Flow:
         sure = np.isfinite(at).all(1) & (np.linalg.norm(step + returned[:, 0], axis=1) < RETURNS)
         return np.where(sure[:, None], at, 0.0)[:, ::-1].astype(np.float32), sure
 
-    def onwards(self, surface: Surface, before: Shot, now: Shot, sums: Sums) -> None:
-        """Add how far the pattern moved between two images; `surface` is what the first shows."""
+    def onwards(self, surface: Surface, before: Shot, now: Shot, tells: np.ndarray, sums: Sums) -> None:
+        """Add how far the pattern moved between two images; `surface` is what the first shows, of which [P] pixels tell."""
         cut = crop(before, now)
         if cut is None:
             return
         at = surface.pixels
         old, known = measured(before, at)
-        known &= before.textured[at[:, 0], at[:, 1]]
+        known &= tells & before.textured[at[:, 0], at[:, 1]]
         known &= ((old - surface.points) ** 2).sum(1) < NEAR**2
         images, shades = (before.grey[cut], now.grey[cut], cut), before.grey[at[:, 0], at[:, 1]].astype(np.float32)
         self._follow(surface, np.flatnonzero(known), images, old, now, LONGEST, sums, shades)
 
-    def against(self, surface: Surface, shades: np.ndarray, now: Shot, sums: Sums) -> None:
-        """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known)."""
+    def against(self, surface: Surface, shades: np.ndarray, now: Shot, tells: np.ndarray, sums: Sums) -> None:
+        """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known).
+
+        `tells` [P] says which of them count.
+        """
         cut = crop(now, now)
         known = np.isfinite(shades)
         if cut is None or known.sum() < FEWEST:
@@ -69,7 +72,7 @@ class Flow:
         covered = np.zeros(now.mask.shape, np.uint8)
         covered[row[known], column[known]] = 1
         photo = np.where((now.mask > 0) | (covered > 0), now.grey, np.uint8(GREY))
-        known &= textured(image, covered)[row, column]
+        known &= tells & textured(image, covered)[row, column]
         images = image[cut], photo[cut], cut
         self._follow(surface, np.flatnonzero(known), images, surface.points, now, LONGEST_DRIFT, sums)
 

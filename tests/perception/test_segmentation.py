@@ -6,7 +6,7 @@ import pytest
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception import segmentation
-from piegraph_cli.perception.colour import lab_bins
+from piegraph_cli.recording.colour import lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.seeds import find_object

@@ -22,8 +22,8 @@ GRASP, REACH = 0.018, 0.035
 """Metres seen from above within which a hand holds all layers of the sheet, and, where there is nothing, the nearest node."""
 LEAP = 0.15
 """Metres that a hand moves in a frame, beyond which it is measured wrongly."""
-AROUND, ALONG, ALONG_SHARE = 0.06, 0.03, 0.7
-"""Metres about the hand in which cloth that it holds goes along, and how differently it may: metres, and share of the way."""
+AROUND, ALONG, ALONG_SHARE = 0.06, 0.01, 0.7
+"""Metres about a hand in which cloth goes along that it may hold still, and how differently: metres, and share of the way."""
 DRIVEN, STIRS = 6.0, 0.004
 """Pixels by which a node's flow is sure enough to drive the cloth, and metres from which a node moves; `FEW` of them do."""
 FEW = 3
@@ -70,21 +70,18 @@ class Grip:
             self.held[:] = False
             return None
         place, before = self.hand.position[frame], self.hand.position[max(0, frame - 1)]
-        way = place - before
-        if self.hand.holds[frame]:
-            if not self.held.any() or not self.hand.holds[frame - 1]:
-                self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
-                return None
-            return way if np.isfinite(way).all() and np.linalg.norm(way) < LEAP else None
-        around = self._around(x, flow)
-        stays = bool(around.any()) and np.linalg.norm(flow.mean()[around].mean(0)) < STIRS
-        if not self.held.any() or (stays and np.linalg.norm(way) > ALONG):
+        way, holds = place - before, self.hand.holds[max(0, frame - 1) : frame + 1]
+        known = bool(np.isfinite(way).all()) and np.linalg.norm(way) < LEAP
+        if holds[-1] and not (holds[0] and self.held.any()):
             self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
             return None
-        if not np.isfinite(way).all() or np.linalg.norm(way) > LEAP:
-            return None
-        apart = np.linalg.norm(way - flow.mean()[around].mean(0)) if around.any() else 0.0
-        return way if apart < max(ALONG, ALONG_SHARE * float(np.linalg.norm(way))) else None
+        around = self._around(x, flow)
+        if not holds[-1] and around.any():
+            going = flow.mean()[around].mean(0)
+            apart = np.linalg.norm(way - going)
+            if np.linalg.norm(going) < STIRS or apart > max(ALONG, ALONG_SHARE * np.linalg.norm(way)):
+                self.held[:] = False
+        return way if known and self.held.any() else None
 
     def _around(self, x: np.ndarray, flow: Sums) -> np.ndarray:
         """Which nodes [N] about the hand are seen so well that they tell whether the cloth goes along; none of too few."""
@@ -150,7 +147,6 @@ class SheetFollower:
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
             self.flow.against(surface, self.atlas.drawn(surface), now, self._tells(surface), drift)
-        self.drift_, self.flow_ = drift, flow
         x = self._sane(self._corrected(x, x, drift.agreed(), state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
         if self.quiet == RESTING:
@@ -218,18 +214,24 @@ class SheetFollower:
     def _corrected(
         self, x: np.ndarray, start: np.ndarray, flow: Sums, state: State, frame: int, shots: list[Shot]
     ) -> np.ndarray:
-        """Nodes [N, 3] drawn to where `flow` takes them from `start` [N, 3], and to depth and silhouettes."""
-        fit = Sums(len(x))
+        """Nodes [N, 3] drawn to where `flow` takes them from `start` [N, 3], and to depth and silhouettes.
+
+        Depth tells nothing of where in its surface the sheet is: within it nodes go where flow and silhouettes draw them.
+        """
+        depth, rim = Sums(len(x)), Sums(len(x))
         hand = None if self.hand is None else self.hand.position[frame]
         for surface, shot in zip(state.surfaces, shots, strict=True):
-            lie_in_depth(surface, shot, fit)
-            keep_silhouette(surface, shot, hand, fit)
-        flowing = flow.weight
-        fitting = fit.weight / (1 + flow.weight)
-        total = np.maximum(flowing + fitting, 1e-12)[:, None]
-        target = (flowing[:, None] * (start + flow.mean()) + fitting[:, None] * (x + fit.mean())) / total
-        gain = GAIN * np.minimum(1.0, (flowing + fitting) / FULL)
-        return self.cloth.corrected(x, target, gain, np.where(self.grip.held, 0.0, 1.0))
+            lie_in_depth(surface, shot, depth)
+            keep_silhouette(surface, shot, hand, rim)
+        weights = flow.weight, rim.weight / (1 + flow.weight), depth.weight / (1 + flow.weight)
+        within, whole = weights[0] + weights[1], sum(weights)
+        drawn = weights[0][:, None] * (start - x + flow.mean()) + weights[1][:, None] * rim.mean()
+        along = drawn / np.maximum(within, 1e-12)[:, None]
+        across = (drawn + weights[2][:, None] * depth.mean()) / np.maximum(whole, 1e-12)[:, None]
+        way = along + state.normals * ((across - along) * state.normals).sum(1, keepdims=True)
+        gains = GAIN * np.minimum(1.0, whole / FULL), GAIN * np.minimum(1.0, within / FULL)
+        free = np.where(self.grip.held, 0.0, 1.0)
+        return self.cloth.corrected(x, x + way, state.normals, gains, free)
 
     @staticmethod
     def _sane(x: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -37,10 +37,11 @@ def keep_silhouette(surface: Surface, shot: Shot, hand: np.ndarray | None, sums:
     row, column = surface.pixels.T
     reading, depth = shot.depth[row, column], surface.depth(shot.lens)
     height = shot.lens.origin[2] + shot.lens.rays[row, column, 2] * reading
-    out = (shot.mask[row, column] == 0) & ~shot.alike[row, column] & (reading > 0) & ((height < LOW) | (reading > depth + BEHIND))
+    out = (shot.mask[row, column] == 0) & (reading > 0) & ((height < LOW) | (reading > depth + BEHIND))
     if hand is not None:
         out &= ((surface.points - hand) ** 2).sum(1) > HAND**2
     chosen = np.flatnonzero(out)
+    chosen = chosen[~shot.alike(row[chosen], column[chosen])]
     apart, to = shot.nearest.of(row[chosen], column[chosen])
     chosen, to = chosen[apart <= REACH], to[apart <= REACH]
     rays = shot.lens.rays

@@ -1,5 +1,6 @@
 """Pictures as the tracker of a sheet reads them: where each pixel looks, what it measures, and where there is texture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -68,8 +69,8 @@ class Shot:
     """[H, W] float32, metres, 0 for no reading."""
     mask: np.ndarray
     """[H, W] uint8, 1 on the object."""
-    alike: np.ndarray
-    """[H, W] bool: coloured as the object is, rather than as what is around it."""
+    alike: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    """Which pixels [P], by row and column, are coloured as the object is, rather than as what is around it."""
 
     @cached_property
     def inner(self) -> np.ndarray:
@@ -101,7 +102,8 @@ def completed(shot: Shot, pixels: np.ndarray, depth: np.ndarray, shades: np.ndar
     row, column = pixels.T
     as_deep = np.abs(shot.depth[row, column] - depth) < LAYER
     if shades is None:
-        more = as_deep & (shot.mask[row, column] == 0) & shot.alike[row, column]
+        more = np.flatnonzero(as_deep & (shot.mask[row, column] == 0))
+        more = more[shot.alike(row[more], column[more])]
         return _with(shot, row[more], column[more])
     chosen = as_deep & np.isfinite(shades) & (shot.mask[row, column] == 0)
     off, count = np.zeros((2, *shot.mask.shape), np.float32)

@@ -110,7 +110,9 @@ def fall(
 def correct(
     x: wp.array(dtype=wp.vec3),
     target: wp.array(dtype=wp.vec3),
-    gain: wp.array(dtype=wp.float32),
+    normals: wp.array(dtype=wp.vec3),
+    across: wp.array(dtype=wp.float32),
+    along: wp.array(dtype=wp.float32),
     free: wp.array(dtype=wp.float32),
     c: Constraints,
     half: float,
@@ -119,7 +121,9 @@ def correct(
     for r in range(ROUNDS + AFTER):
         if r < ROUNDS:
             for i in range(x.shape[0]):
-                x[i] = x[i] + gain[i] * free[i] * (target[i] - x[i])
+                way = target[i] - x[i]
+                out = normals[i] * wp.dot(way, normals[i])
+                x[i] = x[i] + free[i] * (across[i] * out + along[i] * (way - out))
         solve(x, free, c)
         for i in range(x.shape[0]):
             if x[i][2] < half:
@@ -163,6 +167,38 @@ def raster(
                             weights[row, column] = wp.vec3(wa / a[2], wb / b[2], wc / c[2]) * z
 
 
+@wp.kernel(**KERNEL)
+def gather(
+    corners: wp.array2d(dtype=wp.int32),
+    weights: wp.array2d(dtype=wp.float32),
+    ways: wp.array2d(dtype=wp.float32),
+    way: wp.array2d(dtype=wp.float64),
+    weight: wp.array(dtype=wp.float64),
+):
+    """Add the ways that pixels ask for to those of the corners that they show."""
+    for p in range(corners.shape[0]):
+        for k in range(3):
+            i = corners[p, k]
+            share = wp.float64(weights[p, k])
+            weight[i] = weight[i] + share
+            for c in range(3):
+                way[i, c] = way[i, c] + share * wp.float64(ways[p, c])
+
+
+def add_ways(corners: np.ndarray, weights: np.ndarray, ways: np.ndarray, way: np.ndarray, weight: np.ndarray) -> None:
+    """Add the ways [P, 3] of pixels, by the weights [P, 3] of their corners [P, 3], to the sums of nodes in place.
+
+    Those are `way` [N, 3] and `weight` [N], float64.
+    """
+    start_warp()
+    given = (corners, wp.int32), (weights, wp.float32), (ways, wp.float32)
+    arrays = [
+        wp.array(np.ascontiguousarray(a, wp.dtype_to_numpy(t)), dtype=t, device="cpu", copy=False) for a, t in given
+    ]
+    sums = [wp.array(a, dtype=wp.float64, device="cpu", copy=False) for a in (way, weight)]
+    wp.launch(gather, 1, [*arrays, *sums], device="cpu")
+
+
 class Cloth:
     """A sheet's kernels with their memory; positions are those of the middle of the sheet, float32 [N, 3] (m)."""
 
@@ -185,11 +221,18 @@ class Cloth:
         wp.launch(fall, 1, [*memory, self.mesh.half, FRICTION, steps, STEP], device="cpu")
         return state.numpy(), speed.numpy()
 
-    def corrected(self, x: np.ndarray, target: np.ndarray, gain: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Positions drawn to a target [N, 3] (m) with a gain [N] (0..1)."""
+    def corrected(
+        self,
+        x: np.ndarray,
+        target: np.ndarray,
+        normals: np.ndarray,
+        gains: tuple[np.ndarray, np.ndarray],
+        free: np.ndarray,
+    ) -> np.ndarray:
+        """Positions drawn to a target [N, 3] (m), with gains [N] (0..1) along unit `normals` [N, 3] and within the sheet."""
         state = _vectors(x)
-        given = [state, _vectors(target), _numbers(gain), _numbers(free), self.constraints, self.mesh.half]
-        wp.launch(correct, 1, given, device="cpu")
+        given = [state, _vectors(target), _vectors(normals), *map(_numbers, gains), _numbers(free)]
+        wp.launch(correct, 1, [*given, self.constraints, self.mesh.half], device="cpu")
         return state.numpy()
 
     def seen(self, pixels: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from piegraph_cli.physics.sheet_images import Lens, Shot
-from piegraph_cli.physics.sheet_kernel import Cloth
+from piegraph_cli.physics.sheet_kernel import Cloth, add_ways
 from piegraph_cli.physics.sheet_mesh import SheetMesh
 
 LAYER = 0.004
@@ -92,10 +92,7 @@ class Sums:
     def add(self, corners: np.ndarray, weights: np.ndarray, ways: np.ndarray) -> None:
         """Ways [P, 3] (m) of pixels that show triangles with corners [P, 3] with weights [P, 3]."""
         self.parts.append((corners, weights, ways))
-        at, share, nodes = corners.ravel(), weights.ravel().astype(np.float64), len(self.weight)
-        self.weight += np.bincount(at, share, nodes)
-        for k in range(3):
-            self.way[:, k] += np.bincount(at, share * np.repeat(ways[:, k], 3), nodes)
+        add_ways(corners, weights, ways, self.way, self.weight)
 
     def mean(self) -> np.ndarray:
         """[N, 3] metres; 0 where nothing is asked."""
@@ -103,7 +100,7 @@ class Sums:
 
     def agreed(self) -> "Sums":
         """The same without pixels that ask for another way than those around them: they show another layer."""
-        kept, mean = Sums(len(self.weight)), self.mean()
+        kept, mean = Sums(len(self.weight)), self.mean().astype(np.float32)
         for corners, weights, ways in self.parts:
             off = np.linalg.norm(ways - np.einsum("pk,pkc->pc", weights, mean[corners]), axis=1)
             near = off < max(ODD, ODDER * float(np.median(off))) if len(off) else off > 0

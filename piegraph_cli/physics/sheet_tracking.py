@@ -1,6 +1,7 @@
 """A recording of a sheet, frame by frame: pictures in, and what `tracking` tells of every frame."""
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from piegraph_cli.physics.sheet import Hand, SheetFollower, State
 from piegraph_cli.physics.sheet_images import Lens, Shot
 from piegraph_cli.physics.sheet_mesh import is_sheet, sheet_mesh
 from piegraph_cli.physics.visibility import View
-from piegraph_cli.recording.colour import colour_model, lab_bins
+from piegraph_cli.recording.colour import colour_model, lab_bins, pixel_bins, softened
 
 LOST = 0.03
 """Metres of misfit beyond the first frame's, from which the sheet is not where it was looked for."""
@@ -70,8 +71,9 @@ class _Colours:
         core, near = cv2.erode(mask, np.ones((3, 3), np.uint8)) > 0, cv2.dilate(mask, np.ones((9, 9), np.uint8)) > 0
         self.ratio = colour_model(bins[core]) - colour_model(bins[~near])
 
-    def alike(self, image: np.ndarray) -> np.ndarray:
-        return self.ratio[lab_bins(image)] > 0
+    def alike(self, softened: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Which pixels [P] of a `softened` image are coloured as the object."""
+        return self.ratio[pixel_bins(softened, row, column)] > 0 if len(row) else np.zeros(0, bool)
 
 
 def _shots(views: Sequence[View], lenses: list[Lens], colours: list[_Colours]) -> list[Shot]:
@@ -82,7 +84,9 @@ def _shots(views: Sequence[View], lenses: list[Lens], colours: list[_Colours]) -
         image = np.ascontiguousarray(view.image()[lens.window])
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         depth = view.depth[lens.window].astype(np.float32) * np.float32(view.camera.depth_scale)
-        shots.append(Shot(lens, grey, depth, view.mask[lens.window].astype(np.uint8), colour.alike(image)))
+        shots.append(
+            Shot(lens, grey, depth, view.mask[lens.window].astype(np.uint8), partial(colour.alike, softened(image)))
+        )
     return shots
 
 

@@ -19,7 +19,7 @@ STAGE = Stage(
     ("frames", "hands", "masks"),
     "clouds",
     FuseParams,
-    version=3,
+    version=4,
     run="piegraph_cli.stages.fuse:run",
 )
 

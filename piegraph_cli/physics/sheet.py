@@ -132,7 +132,7 @@ class SheetFollower:
             return before
         flow = Sums(len(before.x))
         for surface, old, now in zip(before.surfaces, self.shots, shots, strict=True):
-            self.flow.onwards(surface, old, now, self._tells(surface), flow)
+            self.flow.onwards(surface, old, now, self._tells, flow)
         flow = flow.agreed()
         x = self._sane(self._prior(frame, before.x, flow), before.x)
         state = self._state(x)
@@ -142,20 +142,20 @@ class SheetFollower:
         state, flow = self._state(x), Sums(len(x))
         for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
             shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
-            self.flow.against(surface, shades, shots[k], self._tells(surface), flow)
+            self.flow.against(surface, shades, shots[k], self._tells, flow)
         x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
-            self.flow.against(surface, self.atlas.drawn(surface), now, self._tells(surface), drift)
+            self.flow.against(surface, self.atlas.drawn(surface), now, self._tells, drift)
         x = self._sane(self._corrected(x, x, drift.agreed(), state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
         if self.quiet == RESTING:
             self.atlas.fill(self.state.surfaces, shots)
         return self.state
 
-    def _tells(self, surface: Surface) -> np.ndarray:
-        """Which pixels [P] show something that goes where the sheet goes: a pattern, or folds; no shadow on what lies flat."""
-        return self.atlas.patterned(surface) | (surface.points[:, 2] > FOLDED)
+    def _tells(self, surface: Surface, some: np.ndarray) -> np.ndarray:
+        """Which of `some` [Q] pixels show what goes where the sheet goes: a pattern, or folds; no shadow on what is flat."""
+        return self.atlas.patterned(surface, some) | (surface.points[some, 2] > FOLDED)
 
     def _carried(self, state: State) -> list[np.ndarray]:
         """The shades [P] of the pixels of a state as the image before has them, NaN for what it does not show."""

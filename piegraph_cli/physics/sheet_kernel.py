@@ -22,7 +22,7 @@ CALM, CALMED = 2, 0.3
 STEP = 0.01
 """Seconds."""
 SWEEPS = 12
-ROUNDS, AFTER = 20, 5
+ROUNDS, AFTER = 60, 5
 """Of a correction: sweeps with data, and without."""
 
 KERNEL: dict[str, Any] = {"module": "unique", "enable_backward": False}

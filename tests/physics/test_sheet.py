@@ -64,7 +64,9 @@ def views(pose: tuple[float, float, float], kind: str = "print", noise: int = 0,
         mask = (np.abs(flat) < SIDE / 2).all(1)
         place = ((flat / SIDE + 0.5) * 199).astype(np.float32)
         drawn = cv2.remap(grey, place[:, :1], place[:, 1:], cv2.INTER_LINEAR)[:, 0]
-        image = np.where(mask, drawn, 70.0) * np.where(shaded(hit - [shadow, 0, 0]), 0.5, 1.0) + rng.normal(0, 1, len(mask))
+        image = np.where(mask, drawn, 70.0) * np.where(shaded(hit - [shadow, 0, 0]), 0.5, 1.0) + rng.normal(
+            0, 1, len(mask)
+        )
         depth = np.where(mask, (THICK - origin[2]) / rays[:, 2], -origin[2] / rays[:, 2])
         rgb = np.repeat(image.clip(0, 255).astype(np.uint8).reshape(HEIGHT, WIDTH, 1), 3, axis=2)
         units = np.rint(depth * 1000).astype(np.uint16).reshape(HEIGHT, WIDTH)
@@ -148,7 +150,7 @@ def test_a_plain_sheet_that_slides_is_drawn_along_by_its_outline():
     steps = [(0.008 * k, 0.0, 0.0) for k in range(5)]
     result = track([cloud(p) for p in steps], TrackParams(), views=[views(p, "plain", k) for k, p in enumerate(steps)])
     moved = turned(result.positions[0], steps[-1])
-    assert np.linalg.norm(result.positions[-1] - moved, axis=1).mean() < 0.005
+    assert np.linalg.norm(result.positions[-1] - moved, axis=1).mean() < 0.3 * 0.032
 
 
 def test_what_an_arm_cuts_off_the_mask_stays_where_it_is():
@@ -250,3 +252,4 @@ def test_ways_that_others_around_do_not_ask_for_are_left_out():
     ways[:4] = [0.0, 0.05, 0.0]
     sums.add(corners, np.full((50, 3), 1 / 3), ways)
     np.testing.assert_allclose(sums.agreed().mean(), np.tile([0.01, 0.0, 0.0], (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(sums.agreed().weight, 46 / 3)

@@ -78,8 +78,8 @@ class Grip:
         around = self._around(x, flow)
         if not holds[-1] and around.any():
             going = flow.mean()[around].mean(0)
-            apart = np.linalg.norm(way - going)
-            if np.linalg.norm(going) < STIRS or apart > max(ALONG, ALONG_SHARE * np.linalg.norm(way)):
+            apart, far = float(np.linalg.norm(way - going)), float(np.linalg.norm(way))
+            if np.linalg.norm(going) < STIRS or apart > max(ALONG, ALONG_SHARE * far):
                 self.held[:] = False
         return way if known and self.held.any() else None
 

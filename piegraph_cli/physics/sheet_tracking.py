@@ -67,6 +67,7 @@ class _Colours:
     """How much more a colour is the object's than that of what is around it, as a camera sees both in the first frame."""
 
     def __init__(self, view: View):
+        assert view.image is not None
         bins, mask = lab_bins(view.image()), view.mask.astype(np.uint8)
         core, near = cv2.erode(mask, np.ones((3, 3), np.uint8)) > 0, cv2.dilate(mask, np.ones((9, 9), np.uint8)) > 0
         self.ratio = colour_model(bins[core]) - colour_model(bins[~near])

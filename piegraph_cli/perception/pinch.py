@@ -7,6 +7,13 @@ import numpy as np
 THUMB, INDEX, MIDDLE, WRIST, KNUCKLE = 4, 8, 12, 0, 9
 """MediaPipe's numbers of the fingertips, the wrist and the middle finger's knuckle."""
 
+TIPS, KNUCKLES = (THUMB, INDEX, MIDDLE), (5, 9, 13)
+"""What pinches, and what of the hand is seen best meanwhile."""
+
+CLEAREST = 3
+"""One in so many frames of a pick tells where the fingertips are: those in which they are farthest from the knuckles, for
+what is hidden is looked for on the hand."""
+
 HALF_CLOSED = 0.345
 """Distance of thumb and fingertips over the palm's length that an open hand and a pinch are equally far from."""
 
@@ -104,3 +111,31 @@ def with_picks(touching: np.ndarray, holds: np.ndarray) -> np.ndarray:
         if holds[run].any():
             handled[run] = holds[run]
     return handled
+
+
+def held_points(keypoints: np.ndarray, end_effector: np.ndarray, holds: np.ndarray) -> np.ndarray:
+    """The end-effector [F, 3] (m) with the point between thumb and fingertips while the hand holds something, `holds` [F].
+
+    Fingertips are hidden then, by what they hold and by the hand itself: the knuckles carry that point through a pick, and
+    it turns with them as seen from above. `keypoints` [F, 21, 3] (m), `end_effector` [F, 3] (m), NaN where unknown.
+    """
+    from scipy.ndimage import label
+
+    found = end_effector.copy()
+    knuckles = keypoints[:, KNUCKLES].mean(1)
+    apart = keypoints[:, TIPS].mean(1) - knuckles
+    ahead = (knuckles - keypoints[:, WRIST])[:, :2]
+    ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    in_hand = np.column_stack([(apart[:, :2] * ahead).sum(1), (apart[:, :2] * aside).sum(1), apart[:, 2]])
+    runs, count = label(holds)
+    for n in range(1, count + 1):
+        frames = np.flatnonzero((runs == n) & np.isfinite(in_hand).all(1))
+        clear = frames[np.argsort(-np.linalg.norm(in_hand[frames], axis=1))[: max(2, len(frames) // CLEAREST)]]
+        if len(clear) == 0:
+            continue
+        forth, side, up = np.median(in_hand[clear], axis=0)
+        carried = knuckles + np.column_stack([forth * ahead + side * aside, np.full(len(found), up)])
+        known = (runs == n) & np.isfinite(carried).all(1)
+        found[known] = carried[known]
+    return found

@@ -7,12 +7,12 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.clouds import flying_pixels, world_map
-from piegraph_cli.perception.colour import colour_model, lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.places import EDGE, inside, locate
 from piegraph_cli.perception.windows import WHOLE, Window, window_around
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.colour import colour_model, lab_bins
 
 INTRUDER_SAMPLES = 10
 """Frames from which the colours of hand and sleeve are learnt."""

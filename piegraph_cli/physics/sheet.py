@@ -22,11 +22,13 @@ GRASP, REACH = 0.018, 0.035
 """Metres seen from above within which a hand holds all layers of the sheet, and, where there is nothing, the nearest node."""
 LEAP = 0.15
 """Metres that a hand moves in a frame, beyond which it is measured wrongly."""
-AROUND, ALONG, ALONG_SHARE = 0.06, 0.03, 0.7
-"""Metres about the hand in which cloth that it holds goes along, and how differently it may: metres, and share of the way."""
+AROUND, ALONG, ALONG_SHARE = 0.06, 0.01, 0.7
+"""Metres about a hand in which cloth goes along that it may hold still, and how differently: metres, and share of the way."""
 DRIVEN, STIRS = 6.0, 0.004
 """Pixels by which a node's flow is sure enough to drive the cloth, and metres from which a node moves; `FEW` of them do."""
 FEW = 3
+TAUT, SLACK = 1.15, 0.01
+"""How far from the hand the sheet reaches, in lengths of it as it lay flat and metres: what goes farther is told wrongly."""
 SETTLING = 0.4
 """Seconds that pass for a sheet that is let go."""
 RESTING = 2
@@ -35,6 +37,8 @@ LONGEST_STEP = 0.5
 """Seconds between two frames, at most: what moves longer comes to rest."""
 GAIN, FULL = 0.3, 6.0
 """Share of the way to its target that a node goes in each sweep, and the summed weight from which it goes all of that."""
+FOLDED = 0.012
+"""Metres above the table from which a sheet is folded or lifted."""
 AWAY = 1.0
 """Metres that no node moves in a frame: a state that does is none."""
 
@@ -45,14 +49,16 @@ class Hand:
 
     position: np.ndarray
     """[F, 3] metres, NaN where unknown."""
+    holds: np.ndarray
+    """[F] bool: where it holds the sheet."""
     near: np.ndarray
-    """[F] bool: where it is so near to the sheet that it may hold it."""
+    """[F] bool: where it is so near to the sheet, from then on, that it may hold it still."""
     came: int
     """The first frame in which it was near: before, nothing moves but shadows."""
 
 
 class Grip:
-    """The nodes in the hand, which go where it goes as long as the cloth around them goes there too."""
+    """The nodes in the hand, which go where it goes; once it may have let go, as long as the cloth around them does too."""
 
     def __init__(self, hand: Hand | None, nodes: int):
         self.hand = hand
@@ -64,15 +70,18 @@ class Grip:
             self.held[:] = False
             return None
         place, before = self.hand.position[frame], self.hand.position[max(0, frame - 1)]
-        way, around = place - before, self._around(x, flow)
-        stays = bool(around.any()) and np.linalg.norm(flow.mean()[around].mean(0)) < STIRS
-        if not self.held.any() or (stays and np.linalg.norm(way) > ALONG):
+        way, holds = place - before, self.hand.holds[max(0, frame - 1) : frame + 1]
+        known = bool(np.isfinite(way).all()) and np.linalg.norm(way) < LEAP
+        if holds[-1] and not (holds[0] and self.held.any()):
             self.held = self._under(place, x) if np.isfinite(place).all() else np.zeros(len(x), bool)
             return None
-        if not np.isfinite(way).all() or np.linalg.norm(way) > LEAP:
-            return None
-        apart = np.linalg.norm(way - flow.mean()[around].mean(0)) if around.any() else 0.0
-        return way if apart < max(ALONG, ALONG_SHARE * float(np.linalg.norm(way))) else None
+        around = self._around(x, flow)
+        if not holds[-1] and around.any():
+            going = flow.mean()[around].mean(0)
+            apart, far = float(np.linalg.norm(way - going)), float(np.linalg.norm(way))
+            if np.linalg.norm(going) < STIRS or apart > max(ALONG, ALONG_SHARE * far):
+                self.held[:] = False
+        return way if known and self.held.any() else None
 
     def _around(self, x: np.ndarray, flow: Sums) -> np.ndarray:
         """Which nodes [N] about the hand are seen so well that they tell whether the cloth goes along; none of too few."""
@@ -123,23 +132,30 @@ class SheetFollower:
             return before
         flow = Sums(len(before.x))
         for surface, old, now in zip(before.surfaces, self.shots, shots, strict=True):
-            self.flow.onwards(surface, old, now, flow)
+            self.flow.onwards(surface, old, now, self._tells, flow)
         flow = flow.agreed()
         x = self._sane(self._prior(frame, before.x, flow), before.x)
-        x = self._sane(self._corrected(x, before.x, flow, self._state(x), frame, shots), x)
+        state = self._state(x)
+        for k, surface in enumerate(state.surfaces):
+            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens))
+        x = self._sane(self._corrected(x, before.x, flow, state, frame, shots), x)
         state, flow = self._state(x), Sums(len(x))
         for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
             shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
-            self.flow.against(surface, shades, shots[k], flow)
+            self.flow.against(surface, shades, shots[k], self._tells, flow)
         x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
         for surface, now in zip(state.surfaces, shots, strict=True):
-            self.flow.against(surface, self.atlas.drawn(surface), now, drift)
+            self.flow.against(surface, self.atlas.drawn(surface), now, self._tells, drift)
         x = self._sane(self._corrected(x, x, drift.agreed(), state, frame, shots), x)
         self.state, self.shots = self._state(x), shots
         if self.quiet == RESTING:
             self.atlas.fill(self.state.surfaces, shots)
         return self.state
+
+    def _tells(self, surface: Surface, some: np.ndarray) -> np.ndarray:
+        """Which of `some` [Q] pixels show what goes where the sheet goes: a pattern, or folds; no shadow on what is flat."""
+        return self.atlas.patterned(surface, some) | (surface.points[some, 2] > FOLDED)
 
     def _carried(self, state: State) -> list[np.ndarray]:
         """The shades [P] of the pixels of a state as the image before has them, NaN for what it does not show."""
@@ -171,6 +187,7 @@ class SheetFollower:
             self.velocity[:] = 0
             return x
         if hand is not None:
+            driven &= ~self._torn(x, hand, flow)
             ways[self.grip.held] = hand
             driven = driven | self.grip.held
         ways[~driven] = 0
@@ -181,6 +198,15 @@ class SheetFollower:
             self.velocity = np.zeros_like(x)
         return x
 
+    def _torn(self, x: np.ndarray, hand: np.ndarray, flow: Sums) -> np.ndarray:
+        """Leave out of `flow` the nodes [N] that it takes farther from those in the hand than the sheet reaches."""
+        held = self.grip.held
+        flat = np.linalg.norm(self.mesh.points - self.mesh.points[held].mean(0), axis=1)
+        apart = np.linalg.norm(x + flow.mean() - (x[held].mean(0) + hand), axis=1)
+        torn = (apart > TAUT * flat + SLACK) & (flow.weight > 0)
+        flow.way[torn], flow.weight[torn] = 0.0, 0.0
+        return torn
+
     def _state(self, x: np.ndarray) -> State:
         normals = self.mesh.normals(x)
         return State(x, normals, [visible(self.cloth, x, normals, shot.lens) for shot in self.shots])
@@ -188,18 +214,24 @@ class SheetFollower:
     def _corrected(
         self, x: np.ndarray, start: np.ndarray, flow: Sums, state: State, frame: int, shots: list[Shot]
     ) -> np.ndarray:
-        """Nodes [N, 3] drawn to where `flow` takes them from `start` [N, 3], and to depth and silhouettes."""
-        fit = Sums(len(x))
+        """Nodes [N, 3] drawn to where `flow` takes them from `start` [N, 3], and to depth and silhouettes.
+
+        Depth tells nothing of where in its surface the sheet is: within it nodes go where flow and silhouettes draw them.
+        """
+        depth, rim = Sums(len(x)), Sums(len(x))
         hand = None if self.hand is None else self.hand.position[frame]
         for surface, shot in zip(state.surfaces, shots, strict=True):
-            lie_in_depth(surface, shot, fit)
-            keep_silhouette(surface, shot, hand, fit)
-        flowing = flow.weight
-        fitting = fit.weight / (1 + flow.weight)
-        total = np.maximum(flowing + fitting, 1e-12)[:, None]
-        target = (flowing[:, None] * (start + flow.mean()) + fitting[:, None] * (x + fit.mean())) / total
-        gain = GAIN * np.minimum(1.0, (flowing + fitting) / FULL)
-        return self.cloth.corrected(x, target, gain, np.where(self.grip.held, 0.0, 1.0))
+            lie_in_depth(surface, shot, depth)
+            keep_silhouette(surface, shot, hand, rim)
+        weights = flow.weight, rim.weight / (1 + flow.weight), depth.weight / (1 + flow.weight)
+        within, whole = weights[0] + weights[1], sum(weights)
+        drawn = weights[0][:, None] * (start - x + flow.mean()) + weights[1][:, None] * rim.mean()
+        along = drawn / np.maximum(within, 1e-12)[:, None]
+        across = (drawn + weights[2][:, None] * depth.mean()) / np.maximum(whole, 1e-12)[:, None]
+        way = along + state.normals * ((across - along) * state.normals).sum(1, keepdims=True)
+        gains = GAIN * np.minimum(1.0, whole / FULL), GAIN * np.minimum(1.0, within / FULL)
+        free = np.where(self.grip.held, 0.0, 1.0)
+        return self.cloth.corrected(x, x + way, state.normals, gains, free)
 
     @staticmethod
     def _sane(x: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -18,6 +18,8 @@ LEAST = 0.15
 """Weight of a texel that is known, a pixel at its middle having about 0.25."""
 NEAR = 0.012
 """Metres between the surface and what is measured of it."""
+PATTERNED, MOSTLY = 0.3, 0.9
+"""Share of a place's pixels with texture from which it has a pattern, and of the sheet from which all of it has."""
 
 
 class Atlas:
@@ -28,14 +30,18 @@ class Atlas:
         columns, rows = np.ceil((np.ptp(mesh.points[:, :2], axis=0)) / TEXEL).astype(int) + 3
         self.flat = (mesh.points[:, :2] - self.low) / TEXEL
         self.shades = np.full((2, rows, columns), np.nan, np.float32)
+        self.texture = np.full((2, rows, columns), np.nan, np.float32)
+        """Share of what filled a texel that had texture, then."""
+        self.usual = 0.0
+        """The mean of that."""
 
-    def _texels(self, surface: Surface) -> np.ndarray:
+    def _texels(self, surface: Surface, some: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Column and row [P, 2] of what pixels show."""
-        return np.einsum("pk,pkc->pc", surface.weights, self.flat[surface.corners])
+        return np.einsum("pk,pkc->pc", surface.weights[some], self.flat[surface.corners[some]])
 
     def fill(self, surfaces: list[Surface], shots: list[Shot]) -> None:
         """Put in what the images show where the atlas is empty."""
-        total, weight = np.zeros((2, *self.shades.shape), np.float32)
+        total, weight, texture = np.zeros((3, *self.shades.shape), np.float32)
         for surface, shot in zip(surfaces, shots, strict=True):
             row, column = surface.pixels.T
             off = np.abs(shot.depth[row, column] - surface.depth(shot.lens))
@@ -44,17 +50,34 @@ class Atlas:
             place = np.where(surface.front[kept], 0, 1), texel[:, 1], texel[:, 0]
             np.add.at(total, place, shot.grey[row[kept], column[kept]].astype(np.float32))
             np.add.at(weight, place, 1.0)
+            np.add.at(texture, place, shot.textured[row[kept], column[kept]].astype(np.float32))
         for face in range(2):
-            shade, known = (cv2.GaussianBlur(a[face], (0, 0), BLUR) for a in (total, weight))
+            shade, known, share = (cv2.GaussianBlur(a[face], (0, 0), BLUR) for a in (total, weight, texture))
             fresh = (known > LEAST) & np.isnan(self.shades[face])
             self.shades[face][fresh] = (shade / np.maximum(known, 1e-6))[fresh]
+            self.texture[face][fresh] = (share / np.maximum(known, 1e-6))[fresh]
+        filled = self.texture[np.isfinite(self.texture)]
+        self.usual = float(filled.mean()) if len(filled) else 0.0
 
     def drawn(self, surface: Surface) -> np.ndarray:
         """The shade [P] of each pixel's place on the sheet, NaN where it is not known."""
-        column, row = self._texels(surface).astype(np.float32).T
-        shades = np.empty(len(row), np.float32)
-        for face, chosen in ((0, surface.front), (1, ~surface.front)):
+        return self._at(self.shades, surface)
+
+    def patterned(self, surface: Surface, some: np.ndarray) -> np.ndarray:
+        """Which of `some` [Q] pixels show a place that had texture when the atlas was filled; where unknown, as usual.
+
+        A shadow that passes over a plain sheet has borders too, but none that belongs to it.
+        """
+        if self.usual > MOSTLY:
+            return np.ones(len(some), bool)
+        share = self._at(self.texture, surface, some)
+        return np.where(np.isfinite(share), share, self.usual) > PATTERNED
+
+    def _at(self, values: np.ndarray, surface: Surface, some: np.ndarray | slice = slice(None)) -> np.ndarray:
+        column, row = self._texels(surface, some).astype(np.float32).T
+        found, front = np.empty(len(row), np.float32), surface.front[some]
+        for face, chosen in ((0, front), (1, ~front)):
             if chosen.any():
                 at = column[chosen, None], row[chosen, None]
-                shades[chosen] = cv2.remap(self.shades[face], *at, cv2.INTER_LINEAR, borderValue=np.nan)[:, 0]
-        return shades
+                found[chosen] = cv2.remap(values[face], *at, cv2.INTER_LINEAR, borderValue=np.nan)[:, 0]
+        return found

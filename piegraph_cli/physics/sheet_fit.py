@@ -10,7 +10,9 @@ WEIGHT = 0.5
 FAR = 0.04
 """Metres off the measured surface, beyond which a pixel shows something else."""
 BEHIND = 0.02
-"""Metres by which what is measured may be before the sheet, and the sheet is not hidden."""
+"""Metres behind the sheet from which what is measured is seen past it."""
+LOW = 0.012
+"""Metres above the table below which the table is seen: what is higher beside the mask, a hand, may hide the sheet."""
 REACH = 20
 """Pixels between a silhouette and its image, at most."""
 LEAP = 0.06
@@ -34,10 +36,12 @@ def keep_silhouette(surface: Surface, shot: Shot, hand: np.ndarray | None, sums:
         return
     row, column = surface.pixels.T
     reading, depth = shot.depth[row, column], surface.depth(shot.lens)
-    out = (shot.mask[row, column] == 0) & (reading > depth - BEHIND)
+    height = shot.lens.origin[2] + shot.lens.rays[row, column, 2] * reading
+    out = (shot.mask[row, column] == 0) & (reading > 0) & ((height < LOW) | (reading > depth + BEHIND))
     if hand is not None:
         out &= ((surface.points - hand) ** 2).sum(1) > HAND**2
     chosen = np.flatnonzero(out)
+    chosen = chosen[~shot.alike(row[chosen], column[chosen])]
     apart, to = shot.nearest.of(row[chosen], column[chosen])
     chosen, to = chosen[apart <= REACH], to[apart <= REACH]
     rays = shot.lens.rays

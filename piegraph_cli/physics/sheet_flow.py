@@ -3,6 +3,8 @@
 Flow counts where it leads back to where it began, where there is texture, and where depth is measured at both ends.
 """
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -22,6 +24,9 @@ MOST_GAIN = 3.0
 FEWEST = 50
 """Pixels of a rendering that are worth a look."""
 
+Tells = Callable[[Surface, np.ndarray], np.ndarray]
+"""Of a surface and some of its pixels [Q]: which of them go where the sheet goes."""
+
 
 class Flow:
     """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
@@ -39,7 +44,7 @@ class Flow:
         sure = np.isfinite(at).all(1) & (np.linalg.norm(step + returned[:, 0], axis=1) < RETURNS)
         return np.where(sure[:, None], at, 0.0)[:, ::-1].astype(np.float32), sure
 
-    def onwards(self, surface: Surface, before: Shot, now: Shot, sums: Sums) -> None:
+    def onwards(self, surface: Surface, before: Shot, now: Shot, tells: Tells, sums: Sums) -> None:
         """Add how far the pattern moved between two images; `surface` is what the first shows."""
         cut = crop(before, now)
         if cut is None:
@@ -49,9 +54,10 @@ class Flow:
         known &= before.textured[at[:, 0], at[:, 1]]
         known &= ((old - surface.points) ** 2).sum(1) < NEAR**2
         images, shades = (before.grey[cut], now.grey[cut], cut), before.grey[at[:, 0], at[:, 1]].astype(np.float32)
-        self._follow(surface, np.flatnonzero(known), images, old, now, LONGEST, sums, shades)
+        chosen = np.flatnonzero(known)
+        self._follow(surface, chosen[tells(surface, chosen)], images, old, now, LONGEST, sums, shades)
 
-    def against(self, surface: Surface, shades: np.ndarray, now: Shot, sums: Sums) -> None:
+    def against(self, surface: Surface, shades: np.ndarray, now: Shot, tells: Tells, sums: Sums) -> None:
         """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known)."""
         cut = crop(now, now)
         known = np.isfinite(shades)
@@ -69,9 +75,10 @@ class Flow:
         covered = np.zeros(now.mask.shape, np.uint8)
         covered[row[known], column[known]] = 1
         photo = np.where((now.mask > 0) | (covered > 0), now.grey, np.uint8(GREY))
-        known &= textured(image, covered)[row, column]
+        chosen = np.flatnonzero(known & textured(image, covered)[row, column])
+        chosen = chosen[tells(surface, chosen)]
         images = image[cut], photo[cut], cut
-        self._follow(surface, np.flatnonzero(known), images, surface.points, now, LONGEST_DRIFT, sums)
+        self._follow(surface, chosen, images, surface.points, now, LONGEST_DRIFT, sums)
 
     def _follow(
         self,

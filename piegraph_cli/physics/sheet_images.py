@@ -1,5 +1,6 @@
 """Pictures as the tracker of a sheet reads them: where each pixel looks, what it measures, and where there is texture."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -68,6 +69,8 @@ class Shot:
     """[H, W] float32, metres, 0 for no reading."""
     mask: np.ndarray
     """[H, W] uint8, 1 on the object."""
+    alike: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    """Which pixels [P], by row and column, are coloured as the object is, rather than as what is around it."""
 
     @cached_property
     def inner(self) -> np.ndarray:
@@ -90,23 +93,33 @@ class Shot:
         return box_of(self.mask)
 
 
-def completed(shot: Shot, pixels: np.ndarray, depth: np.ndarray, shades: np.ndarray) -> Shot:
+def completed(shot: Shot, pixels: np.ndarray, depth: np.ndarray, shades: np.ndarray | None = None) -> Shot:
     """The same with a mask that has also what it missed: pixels [P, 2] where depth [P] (m) and shades [P] are as expected.
 
-    Masks of many-coloured things have holes. Where a thing is not any more its shade is not either.
+    Masks of many-coloured things have holes, and lack what an arm cuts off. Where a thing is not any more its shade is not
+    either. Without shades what is coloured as the thing is taken.
     """
     row, column = pixels.T
     as_deep = np.abs(shot.depth[row, column] - depth) < LAYER
+    if shades is None:
+        more = np.flatnonzero(as_deep & (shot.mask[row, column] == 0))
+        more = more[shot.alike(row[more], column[more])]
+        return _with(shot, row[more], column[more])
     chosen = as_deep & np.isfinite(shades) & (shot.mask[row, column] == 0)
     off, count = np.zeros((2, *shot.mask.shape), np.float32)
     off[row[chosen], column[chosen]] = np.abs(shades[chosen] - shot.grey[row[chosen], column[chosen]])
     count[row[chosen], column[chosen]] = 1
     off, count = (cv2.boxFilter(a, cv2.CV_32F, (5, 5), normalize=False) for a in (off, count))
     more = chosen & (off[row, column] < ALIKE * count[row, column])
-    if not more.any():
+    return _with(shot, row[more], column[more])
+
+
+def _with(shot: Shot, row: np.ndarray, column: np.ndarray) -> Shot:
+    """The same with more pixels [P] in its mask."""
+    if not len(row):
         return shot
     mask = shot.mask.copy()
-    mask[row[more], column[more]] = 1
+    mask[row, column] = 1
     return replace(shot, mask=mask)
 
 

@@ -110,7 +110,9 @@ def fall(
 def correct(
     x: wp.array(dtype=wp.vec3),
     target: wp.array(dtype=wp.vec3),
-    gain: wp.array(dtype=wp.float32),
+    normals: wp.array(dtype=wp.vec3),
+    across: wp.array(dtype=wp.float32),
+    along: wp.array(dtype=wp.float32),
     free: wp.array(dtype=wp.float32),
     c: Constraints,
     half: float,
@@ -119,7 +121,9 @@ def correct(
     for r in range(ROUNDS + AFTER):
         if r < ROUNDS:
             for i in range(x.shape[0]):
-                x[i] = x[i] + gain[i] * free[i] * (target[i] - x[i])
+                way = target[i] - x[i]
+                out = normals[i] * wp.dot(way, normals[i])
+                x[i] = x[i] + free[i] * (across[i] * out + along[i] * (way - out))
         solve(x, free, c)
         for i in range(x.shape[0]):
             if x[i][2] < half:
@@ -185,11 +189,18 @@ class Cloth:
         wp.launch(fall, 1, [*memory, self.mesh.half, FRICTION, steps, STEP], device="cpu")
         return state.numpy(), speed.numpy()
 
-    def corrected(self, x: np.ndarray, target: np.ndarray, gain: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Positions drawn to a target [N, 3] (m) with a gain [N] (0..1)."""
+    def corrected(
+        self,
+        x: np.ndarray,
+        target: np.ndarray,
+        normals: np.ndarray,
+        gains: tuple[np.ndarray, np.ndarray],
+        free: np.ndarray,
+    ) -> np.ndarray:
+        """Positions drawn to a target [N, 3] (m), with gains [N] (0..1) along unit `normals` [N, 3] and within the sheet."""
         state = _vectors(x)
-        given = [state, _vectors(target), _numbers(gain), _numbers(free), self.constraints, self.mesh.half]
-        wp.launch(correct, 1, given, device="cpu")
+        given = [state, _vectors(target), _vectors(normals), *map(_numbers, gains), _numbers(free)]
+        wp.launch(correct, 1, [*given, self.constraints, self.mesh.half], device="cpu")
         return state.numpy()
 
     def seen(self, pixels: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

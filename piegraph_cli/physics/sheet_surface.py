@@ -11,6 +11,8 @@ from piegraph_cli.physics.sheet_mesh import SheetMesh
 
 LAYER = 0.004
 """Metres along the optical axis within which what is seen is the same layer."""
+LEAST = 1e-9
+"""Summed weight below which nothing is asked."""
 ODD, ODDER = 0.006, 2.5
 """Metres, and times the usual difference, from the ways asked for around it beyond which a pixel's way is left out."""
 
@@ -92,7 +94,10 @@ class Sums:
     def add(self, corners: np.ndarray, weights: np.ndarray, ways: np.ndarray) -> None:
         """Ways [P, 3] (m) of pixels that show triangles with corners [P, 3] with weights [P, 3]."""
         self.parts.append((corners, weights, ways))
-        at, share, nodes = corners.ravel(), weights.ravel().astype(np.float64), len(self.weight)
+        self._count(corners, weights, ways, 1)
+
+    def _count(self, corners: np.ndarray, weights: np.ndarray, ways: np.ndarray, sign: int) -> None:
+        at, share, nodes = corners.ravel(), sign * weights.ravel().astype(np.float64), len(self.weight)
         self.weight += np.bincount(at, share, nodes)
         for k in range(3):
             self.way[:, k] += np.bincount(at, share * np.repeat(ways[:, k], 3), nodes)
@@ -103,9 +108,12 @@ class Sums:
 
     def agreed(self) -> "Sums":
         """The same without pixels that ask for another way than those around them: they show another layer."""
-        kept, mean = Sums(len(self.weight)), self.mean()
+        kept, mean = Sums(len(self.weight)), self.mean().astype(np.float32)
+        kept.way[:], kept.weight[:] = self.way, self.weight
         for corners, weights, ways in self.parts:
             off = np.linalg.norm(ways - np.einsum("pk,pkc->pc", weights, mean[corners]), axis=1)
-            near = off < max(ODD, ODDER * float(np.median(off))) if len(off) else off > 0
-            kept.add(corners[near], weights[near], ways[near])
+            odd = off >= max(ODD, ODDER * float(np.median(off))) if len(off) else off > 0
+            kept._count(corners[odd], weights[odd], ways[odd], -1)
+        nothing = kept.weight < LEAST
+        kept.way[nothing], kept.weight[nothing] = 0.0, 0.0
         return kept

@@ -1,6 +1,7 @@
 """A recording of a sheet, frame by frame: pictures in, and what `tracking` tells of every frame."""
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from piegraph_cli.physics.sheet import Hand, SheetFollower, State
 from piegraph_cli.physics.sheet_images import Lens, Shot
 from piegraph_cli.physics.sheet_mesh import is_sheet, sheet_mesh
 from piegraph_cli.physics.visibility import View
+from piegraph_cli.recording.colour import colour_model, lab_bins, pixel_bins, softened
 
 LOST = 0.03
 """Metres of misfit beyond the first frame's, from which the sheet is not where it was looked for."""
@@ -44,13 +46,14 @@ def follow_sheet(
     """
     mesh, everywhere = sheet_mesh(clouds[0], particles), np.concatenate([cloud[::SPARSE] for cloud in clouds])
     lenses = [Lens(view.camera, everywhere) for view in views[0]]
-    follower = SheetFollower(mesh, _shots(views[0], lenses), time, hand)
+    colours = [_Colours(view) for view in views[0]]
+    follower = SheetFollower(mesh, _shots(views[0], lenses, colours), time, hand)
     first = _seen(follower.state)
     usual, found = 0.0, []
     for frame, cloud in enumerate(progress(clouds)):
         unseen = len(cloud) < FEWEST_POINTS
         if frame > 0:
-            follower.skip(frame) if unseen else follower.follow(frame, _shots(views[frame], lenses))
+            follower.skip(frame) if unseen else follower.follow(frame, _shots(views[frame], lenses, colours))
         positions = mesh.particles(follower.state.x).astype(np.float32)
         seen = np.zeros(len(positions)) if unseen else _seen(follower.state)
         near, misfit = (0.0, 0.0) if unseen else _distances(positions, seen >= SEEN, cloud)
@@ -60,14 +63,31 @@ def follow_sheet(
     return found
 
 
-def _shots(views: Sequence[View], lenses: list[Lens]) -> list[Shot]:
+class _Colours:
+    """How much more a colour is the object's than that of what is around it, as a camera sees both in the first frame."""
+
+    def __init__(self, view: View):
+        assert view.image is not None
+        bins, mask = lab_bins(view.image()), view.mask.astype(np.uint8)
+        core, near = cv2.erode(mask, np.ones((3, 3), np.uint8)) > 0, cv2.dilate(mask, np.ones((9, 9), np.uint8)) > 0
+        self.ratio = colour_model(bins[core]) - colour_model(bins[~near])
+
+    def alike(self, softened: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Which pixels [P] of a `softened` image are coloured as the object."""
+        return self.ratio[pixel_bins(softened, row, column)] > 0 if len(row) else np.zeros(0, bool)
+
+
+def _shots(views: Sequence[View], lenses: list[Lens], colours: list[_Colours]) -> list[Shot]:
     """What the cameras took, as the follower reads it."""
     shots = []
-    for view, lens in zip(views, lenses, strict=True):
+    for view, lens, colour in zip(views, lenses, colours, strict=True):
         assert view.image is not None
-        grey = np.ascontiguousarray(cv2.cvtColor(view.image(), cv2.COLOR_RGB2GRAY)[lens.window])
+        image = np.ascontiguousarray(view.image()[lens.window])
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         depth = view.depth[lens.window].astype(np.float32) * np.float32(view.camera.depth_scale)
-        shots.append(Shot(lens, grey, depth, view.mask[lens.window].astype(np.uint8)))
+        shots.append(
+            Shot(lens, grey, depth, view.mask[lens.window].astype(np.uint8), partial(colour.alike, softened(image)))
+        )
     return shots
 
 

@@ -154,8 +154,8 @@ def _near(clouds: Sequence[np.ndarray], hand: np.ndarray | None, grasp: np.ndarr
     near = np.array(apart) < HOLDS
     came = int(near.argmax())
     for frame in range(len(near)):  # one that only comes near has nothing yet
-        near[frame] &= bool(grasp[frame]) or (frame > 0 and bool(near[frame - 1]))
-    return Hand(hand, near, came)
+        near[frame] = bool(grasp[frame]) or (bool(near[frame]) and frame > 0 and bool(near[frame - 1]))
+    return Hand(hand, grasp, near, came)
 
 
 def _first(cloud: np.ndarray, views: Sequence[View], params: TrackParams, upright: bool) -> Follower:

@@ -35,7 +35,7 @@ STIFF = 0.2
 SHEET = 0.1
 """An object is a sheet whose particles spread less than this across its two larger extents, as a share of the second."""
 
-SLIDE = 0.1
+SLIDE = 0.02
 """Share of its path by which a particle of a sheet may have slid along it. From rendered cloths that were picked up."""
 
 

@@ -19,7 +19,7 @@ STAGE = Stage(
     ("frames", "hands", "masks"),
     "clouds",
     FuseParams,
-    version=3,
+    version=4,
     run="piegraph_cli.stages.fuse:run",
 )
 
@@ -51,7 +51,7 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     arrays = {
         "points": np.concatenate(clouds),
         "offsets": np.concatenate([[0], sizes.cumsum()]),
-        "end_effector": hands["end_effector"],
+        "end_effector": _holding(hands, held),
         "contact": touching,
         "mode": np.where(held, PICK, PUSH).astype(np.uint8),
         "time": frames["time"],
@@ -60,6 +60,15 @@ def run(inputs: dict[str, Any], params: FuseParams, context: Context) -> Output:
     quality += f", {held.mean():.0%} held" if held.any() else ""
     warnings = [] if touching.any() else ["the hand never touches the object: no stroke will be found in this sequence"]
     return Output(arrays, quality, warnings)
+
+
+def _holding(hands: "Artifact", held: "np.ndarray") -> "np.ndarray":
+    """The end-effector's path [F, 3] (m), that of a hand being its pinch where it holds the object."""
+    from piegraph_cli.perception.pinch import held_points
+
+    if not held.any() or "opening" in hands:
+        return hands["end_effector"]
+    return held_points(hands["keypoints"], hands["end_effector"], held)
 
 
 def _handled(hands: "Artifact", clouds: "Sequence[np.ndarray]", params: FuseParams) -> "tuple[np.ndarray, np.ndarray]":

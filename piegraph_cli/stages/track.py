@@ -21,7 +21,7 @@ STAGE = Stage(
     ("frames", "masks", "clouds"),
     "tracks",
     TrackParams,
-    version=4,
+    version=5,
     run="piegraph_cli.stages.track:run",
 )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piegraph_cli.perception.pinch import openness, picks, pinches, with_picks
+from piegraph_cli.perception.pinch import held_points, openness, picks, pinches, with_picks
 
 OPEN, CLOSED = 0.6, 0.15
 SHEET = np.stack([*np.meshgrid(np.linspace(-0.1, 0.1, 21), np.linspace(-0.1, 0.1, 21)), np.zeros((21, 21))], -1)
@@ -85,3 +85,29 @@ def test_the_open_hand_that_comes_for_a_pick_does_not_handle_and_pushes_stay():
     touching = np.array([0, 1, 1, 0, 0, 1, 1, 1, 0, 1], bool)
     holds = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 0], bool)
     assert with_picks(touching, holds).astype(int).tolist() == [0, 1, 1, 0, 0, 0, 1, 1, 1, 0]
+
+
+def keypoints(path: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """A pinching hand's [F, 21, 3] (m): its tips meet on a path [F, 3], and it points where it is turned to [F] (rad)."""
+    shape = np.zeros((21, 3))
+    shape[[5, 9, 13]], shape[0] = [[-0.02, 0.02, 0.08], [-0.02, 0, 0.08], [-0.02, -0.02, 0.08]], [-0.11, 0, 0.10]
+    c, s, zero, one = np.cos(turns), np.sin(turns), np.zeros_like(turns), np.ones_like(turns)
+    turning = np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]]).transpose(2, 0, 1)
+    return path[:, None] + shape @ turning.transpose(0, 2, 1)
+
+
+def test_the_pinch_goes_with_the_knuckles_where_fingertips_are_hidden():
+    steps = np.linspace(0, 1, 9)[:, None]
+    path = steps * [0.2, -0.1, 0.0] + [0.0, 0.0, 0.01]
+    hand = keypoints(path, steps[:, 0])
+    hand[3:, [4, 8, 12]] += [0.0, 0.0, 0.04]  # looked for on the hand, which hides them
+    hand[6, 9] = np.nan
+    pushing = hand[:, [8, 12]].mean(1)
+    holds = np.arange(9) >= 1
+    found = held_points(hand, pushing, holds)
+    known = [1, 2, 3, 4, 5, 7, 8]
+    np.testing.assert_allclose(found[known], path[known], atol=1e-3)
+    np.testing.assert_array_equal(found[[0, 6]], pushing[[0, 6]])
+    np.testing.assert_array_equal(held_points(hand, pushing, np.zeros(9, bool)), pushing)
+    hand[:, 4] = np.nan
+    np.testing.assert_array_equal(held_points(hand, pushing, holds), pushing)

@@ -6,12 +6,12 @@ import pytest
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception import segmentation
-from piegraph_cli.perception.colour import lab_bins
 from piegraph_cli.perception.hand_region import hand_region
 from piegraph_cli.perception.params import SegmentParams
 from piegraph_cli.perception.seeds import find_object
 from piegraph_cli.perception.segmentation import ON_HAND, RIM, learn_object, object_score, segment_sequence
 from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.colour import lab_bins
 from tests.perception.scene import WORKSPACE, pushing_sequence, render, ring_camera
 
 CAMERAS = [ring_camera(azimuth, f"c{n}") for n, azimuth in enumerate((0.4, 2.5))]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.physics.tracking import track
-from piegraph_cli.physics.trust import LEAST, UNKNOWN, expected_error
+from piegraph_cli.physics.trust import LEAST, SLIDE, UNKNOWN, expected_error
 from piegraph_cli.physics.visibility import View, look
 from piegraph_cli.recording.camera import Camera
 from tests.physics.objects import HEIGHT, surface, turned
@@ -108,7 +108,7 @@ def test_a_sheet_may_slide_within_its_surface_and_a_block_may_not():
         expected_error(shape + moved, np.ones((6, len(shape))), np.full(6, 0.004), np.zeros(6, bool))
         for shape in (sheet, block)
     ]
-    np.testing.assert_allclose(expected[0], LEAST + 0.1 * 0.02 * np.arange(6), rtol=1e-4)
+    np.testing.assert_allclose(expected[0], LEAST + SLIDE * 0.02 * np.arange(6), rtol=1e-4)
     np.testing.assert_allclose(expected[1], LEAST, rtol=1e-4)
 
 

@@ -46,8 +46,13 @@ def pattern(kind: str) -> np.ndarray:
     return cv2.resize(rng.uniform(40, 200, (20, 20)).astype(np.float32), (200, 200), interpolation=cv2.INTER_CUBIC)
 
 
-def views(pose: tuple[float, float, float], kind: str = "print", noise: int = 0) -> list[View]:
-    """What both cameras see of the sheet that lies turned and moved."""
+def shaded(at: np.ndarray) -> np.ndarray:
+    """Which places [P, 3] (m) are in one of three round shadows."""
+    return np.any([np.linalg.norm(at[:, :2] - [0, y], axis=1) < 0.014 for y in (-0.04, 0, 0.04)], axis=0)
+
+
+def views(pose: tuple[float, float, float], kind: str = "print", noise: int = 0, shadow: float = 1.0) -> list[View]:
+    """What both cameras see of the sheet that lies turned and moved; round shadows lie beside x = `shadow` (m)."""
     rng, found, grey = np.random.default_rng(noise), [], pattern(kind)
     for one in CAMERAS:
         column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
@@ -59,7 +64,9 @@ def views(pose: tuple[float, float, float], kind: str = "print", noise: int = 0)
         mask = (np.abs(flat) < SIDE / 2).all(1)
         place = ((flat / SIDE + 0.5) * 199).astype(np.float32)
         drawn = cv2.remap(grey, place[:, :1], place[:, 1:], cv2.INTER_LINEAR)[:, 0]
-        image = np.where(mask, drawn, 70.0) + rng.normal(0, 1, len(mask))
+        image = np.where(mask, drawn, 70.0) * np.where(shaded(hit - [shadow, 0, 0]), 0.5, 1.0) + rng.normal(
+            0, 1, len(mask)
+        )
         depth = np.where(mask, (THICK - origin[2]) / rays[:, 2], -origin[2] / rays[:, 2])
         rgb = np.repeat(image.clip(0, 255).astype(np.uint8).reshape(HEIGHT, WIDTH, 1), 3, axis=2)
         units = np.rint(depth * 1000).astype(np.uint16).reshape(HEIGHT, WIDTH)
@@ -74,9 +81,19 @@ def cloud(pose: tuple[float, float, float]) -> np.ndarray:
     return turned(np.column_stack([flat, np.full(len(flat), THICK)]), pose)
 
 
+def of_mask(mask: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    return mask[row, column]
+
+
 def shots(pose: tuple[float, float, float], kind: str = "print") -> list[Shot]:
     return [
-        Shot(Lens(v.camera), v.image()[..., 0], v.depth.astype(np.float32) / 1000, v.mask.astype(np.uint8))
+        Shot(
+            Lens(v.camera),
+            v.image()[..., 0],
+            v.depth.astype(np.float32) / 1000,
+            v.mask.astype(np.uint8),
+            partial(of_mask, v.mask),
+        )
         for v in views(pose, kind)
         if v.image is not None
     ]
@@ -122,10 +139,70 @@ def test_plain_pixels_tell_of_no_flow():
         assert not shot.textured[shot.mask == 0].any()
 
 
+def test_a_shadow_that_passes_over_a_plain_sheet_does_not_move_it():
+    pose, passing = (0.0, 0.0, 0.0), [1.0, 0.05, 0.03, 0.01, -0.01]
+    seen = [views(pose, "plain", k, shadow) for k, shadow in enumerate(passing)]
+    result = track([cloud(pose)] * 5, TrackParams(), views=seen)
+    assert np.linalg.norm(result.positions[-1] - result.positions[0], axis=1).mean() < 0.003
+
+
+def test_a_plain_sheet_that_slides_is_drawn_along_by_its_outline():
+    steps = [(0.008 * k, 0.0, 0.0) for k in range(5)]
+    result = track([cloud(p) for p in steps], TrackParams(), views=[views(p, "plain", k) for k, p in enumerate(steps)])
+    moved = turned(result.positions[0], steps[-1])
+    assert np.linalg.norm(result.positions[-1] - moved, axis=1).mean() < 0.3 * 0.032
+
+
+def test_what_an_arm_cuts_off_the_mask_stays_where_it_is():
+    pose = (0.0, 0.0, 0.0)
+    seen = [views(pose, noise=k) for k in range(4)]
+    for view in (view for of in seen[1:] for view in of):
+        view.mask[:, WIDTH // 2 + 15 :] = False
+    result = track([cloud(pose)] * 4, TrackParams(), views=seen)
+    assert np.linalg.norm(result.positions[-1] - result.positions[0], axis=1).max() < 0.005
+
+
+def following(path: np.ndarray, holds: list[bool]) -> SheetFollower:
+    """A sheet at rest beside a hand on a path [F, 3] (m) that `holds` [F] it."""
+    mesh = sheet_mesh(cloud((0.0, 0.0, 0.0)), 50)
+    hand = Hand(path, np.array(holds), np.full(len(path), True), 0)
+    return SheetFollower(mesh, shots((0.0, 0.0, 0.0)), np.arange(len(path)) / 5, hand)
+
+
+def flow_of(follower: SheetFollower, way: list[float]) -> Sums:
+    """One that is sure that every node goes the same way (m)."""
+    flow = Sums(len(follower.state.x))
+    flow.weight[:], flow.way[:] = 10.0, 10 * np.array(way)
+    return flow
+
+
+def test_flow_that_would_tear_the_sheet_out_of_the_hand_is_left_out():
+    follower = following(np.array([[0.08, 0.08, 0.006], [0.02, 0.08, 0.006]]), [True, True])
+    follower.skip(0)
+    flow = flow_of(follower, [0.0, 0.0, 0.0])
+    follower._prior(1, follower.state.x, flow)
+    apart = np.linalg.norm(follower.mesh.points[:, :2] - [0.08, 0.08], axis=1)
+    assert follower.grip.held.any()
+    assert (flow.weight[apart < 0.03] == 0).all()
+    assert (flow.weight[apart > 0.13] > 0).all()
+
+
+@pytest.mark.parametrize(("going", "goes"), [([0.02, 0.0, 0.0], True), ([0.0, 0.0, 0.0], False)])
+def test_a_hand_that_may_have_let_go_is_followed_while_the_cloth_goes_along(going, goes):
+    follower = following(np.array([[0.0, 0, 0.006], [0.02, 0, 0.006], [0.04, 0, 0.006]]), [True, True, False])
+    for frame in range(2):
+        follower.skip(frame)
+    way = follower.grip.carry(2, follower.state.x, flow_of(follower, going))
+    assert (way is not None) == goes
+    assert follower.grip.held.any() == goes
+
+
 def test_what_a_hand_holds_goes_with_it_and_the_rest_hangs_on():
     mesh = sheet_mesh(cloud((0.0, 0.0, 0.0)), 50)
     path = np.array([[0.08, 0.08, 0.006], [0.08, 0.08, 0.03], [0.07, 0.07, 0.05]])
-    follower = SheetFollower(mesh, shots((0.0, 0.0, 0.0)), np.arange(3) / 5, Hand(path, np.full(3, True), 0))
+    follower = SheetFollower(
+        mesh, shots((0.0, 0.0, 0.0)), np.arange(3) / 5, Hand(path, np.full(3, True), np.full(3, True), 0)
+    )
     for frame in range(3):
         follower.skip(frame)
     held = follower.grip.held
@@ -143,11 +220,14 @@ def test_nothing_that_is_not_finite_leaves_a_frame(wrong):
     mesh = sheet_mesh(cloud((0.0, 0.0, 0.0)), 50)
     path = np.tile([0.08, 0.08, 0.006], (5, 1))
     follower = SheetFollower(
-        mesh, shots((0.0, 0.0, 0.0)), np.array([0, 0.2, wrong, 0.6, 0.8]), Hand(path, np.full(5, True), 0)
+        mesh,
+        shots((0.0, 0.0, 0.0)),
+        np.array([0, 0.2, wrong, 0.6, 0.8]),
+        Hand(path, np.full(5, True), np.full(5, True), 0),
     )
     path[2:4] = wrong
     seen = shots((0.0, 0.0, 0.0))
-    broken = [Shot(s.lens, s.grey, np.full_like(s.depth, wrong), s.mask) for s in seen]
+    broken = [Shot(s.lens, s.grey, np.full_like(s.depth, wrong), s.mask, s.alike) for s in seen]
     for frame, given in enumerate((seen, seen, broken, seen, seen)):
         follower.velocity[:] = wrong if frame == 3 else follower.velocity
         state = follower.follow(frame, given)
@@ -172,3 +252,4 @@ def test_ways_that_others_around_do_not_ask_for_are_left_out():
     ways[:4] = [0.0, 0.05, 0.0]
     sums.add(corners, np.full((50, 3), 1 / 3), ways)
     np.testing.assert_allclose(sums.agreed().mean(), np.tile([0.01, 0.0, 0.0], (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(sums.agreed().weight, 46 / 3)

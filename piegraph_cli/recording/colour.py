@@ -11,9 +11,25 @@ FLOOR = 1e-3
 
 def lab_bins(image: np.ndarray) -> np.ndarray:
     """The histogram bin [H, W] int32 of every pixel of an RGB uint8 image [H, W, 3]."""
+    return _bins(softened(image))
+
+
+def softened(image: np.ndarray) -> np.ndarray:
+    """An RGB image with less noise, as colours are compared."""
     import cv2
 
-    lab = cv2.cvtColor(cv2.GaussianBlur(image, (3, 3), 0), cv2.COLOR_RGB2LAB).astype(np.int32)
+    return cv2.GaussianBlur(image, (3, 3), 0)
+
+
+def pixel_bins(softened: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """The bins [P] of some pixels of an image that is `softened`."""
+    return _bins(softened[row, column][:, None])[:, 0]
+
+
+def _bins(image: np.ndarray) -> np.ndarray:
+    import cv2
+
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB).astype(np.int32)
     return (lab[..., 0] >> 4) * (BINS[1] * BINS[2]) + (lab[..., 1] >> 2) * BINS[2] + (lab[..., 2] >> 2)
 
 

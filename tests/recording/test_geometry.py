@@ -131,6 +131,15 @@ def test_usual_errors_of_calibration_are_good_and_hide_no_trouble(seed):
 INVERSE = "inverting T_world_camera puts the table at z = 0"
 OPENGL = "OpenGL's axes. puts the table at z = 0"
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+def colors(change, only=None):
+    return lambda views: [
+        replace(view, color=[np.ascontiguousarray(change(c)) for c in view.color]) if only in (None, k) else view
+        for k, view in enumerate(views)
+    ]
+
+
 TROUBLES = {
     "all inverted": (poses(np.linalg.inv), INVERSE),
     "one inverted": (poses(np.linalg.inv, 2), f"^cam2: .*{INVERSE}"),
@@ -178,6 +187,10 @@ TROUBLES = {
     "depth 15 px right": (depths(lambda d: np.roll(d, 15, 1)), r"moving depth by -1[456], -?[012] px"),
     "depth 8 px left": (depths(lambda d: np.roll(d, -8, 1)), r"moving depth by [789], -?[012] px"),
     "depth 9 px down": (depths(lambda d: np.roll(d, 9, 0)), r"moving depth by -?[012], -([789]|10) px"),
+    "colour mirrored": (colors(lambda c: c[:, ::-1]), "one of them is mirrored, left for right, against the other"),
+    "colour of one mirrored": (colors(lambda c: c[:, ::-1], 2), "^cam2: .*mirrored, left for right, against the other"),
+    "colour upside down": (colors(lambda c: c[::-1]), "one of them is upside down against the other"),
+    "colour turned": (colors(lambda c: c[::-1, ::-1]), "one of them is turned by 180 degrees against the other"),
     "depth of one 20 px": (depths(lambda d: np.roll(d, 20, 1), 3), r"^cam3: .*moving depth by -(19|20|21), -?[012] px"),
 }
 

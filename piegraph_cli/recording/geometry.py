@@ -146,9 +146,10 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
         causes |= dict.fromkeys(cause.cameras, cause)
         left = [k for k in left if k not in cause.cameras]
     checks = []
-    for k, (look, fault) in enumerate(zip(looks, faults, strict=True)):
-        unseen = _in_view(look, workspace, table) < IN_VIEW
-        checks.append(_table_check(look, fault, causes.get(k), unseen, table))
+    hidden = [_in_view(look, workspace, table) < IN_VIEW for look in looks]
+    nowhere = all(hidden) and len(looks) > 1
+    for k, (look, fault, unseen) in enumerate(zip(looks, faults, hidden, strict=True)):
+        checks.append(_table_check(look, fault, causes.get(k), unseen and not nowhere, table))
         checks.append(_view_check(look, causes.get(k), unseen))
     return checks
 

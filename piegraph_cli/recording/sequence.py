@@ -42,8 +42,7 @@ def read_sequence(
     except DataError as error:
         raise _with_clocks(error, films) from None
     if len(time) < 2:
-        hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
-        raise DataError("one frame: nothing can be seen to move", str(folder), hint)
+        raise _one_frame(films, layout, folder)
     stamps = frame_times([film.times for film in films], source)
     clock = stamps.mean(1)
     tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
@@ -64,6 +63,16 @@ def read_sequence(
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
     return arrays, warnings
+
+
+def _one_frame(films: list[Film], layout: str, folder: Path) -> DataError:
+    most = max(films, key=lambda film: len(film.times))
+    if len(most.times) > 2 and layout != "stills":
+        span = most.times[-1] - most.times[0]
+        message = f"all {len(most.times)} frames of camera {most.camera.name} lie within {span:.2g} s"
+        return DataError(message, str(folder), "give the time stamps in seconds, or record longer")
+    hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
+    return DataError("one frame: nothing can be seen to move", str(folder), hint)
 
 
 def _on_one_clock(films: list[Film], offsets: dict[str, float], folder: Path) -> list[Film]:

@@ -213,6 +213,46 @@ def test_one_camera_is_enough(trouble):
     assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
 
 
+LINK = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+UNCOMMON = {
+    "centimetres": (lambda T: stretched(T, 100), "taking the poses as centimetres puts the table"),
+    "inches": (lambda T: stretched(T, 1 / 0.0254), "taking the poses as inches puts the table"),
+    "rotation transposed": (lambda T: rigid(T[:3, :3].T, T[:3, 3]), "transposing the rotation of T_world_camera puts"),
+    "two halves": (lambda T: rigid(T[:3, :3], -T[:3, :3].T @ T[:3, 3]), "translation as that of world-to-camera puts"),
+    "camera_link": (lambda T: T @ np.linalg.inv(LINK), "ROS's camera_link., puts the table"),
+    "turned over": (lambda T: T @ np.diag([-1.0, -1, 1, 1]), "turning the camera by 180 degrees .* puts the table"),
+    "x up": (lambda T: rotated(1, 90) @ T, "its x points up, puts the table"),
+    "y down": (lambda T: rotated(0, 90) @ T, "its y points down, puts the table"),
+    "Unity": (lambda T: np.eye(4)[[0, 2, 1, 3]] @ T @ np.diag([1.0, -1, 1, 1]), "left-handed with y up .* puts"),
+    "y mirrored": (lambda T: np.diag([1.0, -1, 1, 1]) @ T @ np.diag([1.0, -1, 1, 1]), "left-handed, y mirrored, puts"),
+}
+
+
+def rigid(rotation, translation):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
+
+
+@pytest.mark.parametrize("chosen", [(0, 1, 2, 3), (0, 2)], ids=str)
+@pytest.mark.parametrize("slip", UNCOMMON)
+def test_uncommon_slips_are_bad_and_named_too(slip, chosen):
+    change, cause = UNCOMMON[slip]
+    found = told(with_poses([boxes_on_a_table()[k] for k in chosen], lambda k, T: change(T)))
+    assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+def test_depth_of_any_unit_is_told_by_several_cameras():
+    found = told(scales(1 / 256)(boxes_on_a_table()))
+    assert [verdict for verdict, _ in found] == ["bad"]
+    assert re.search(r"depth is 3.9\d? times too far: depth_scale 0.00(1|0999) puts the table at z = 0", found[0][1])
+
+
+def test_cameras_that_all_look_elsewhere_are_no_recording_of_a_table():
+    found = told(with_poses(boxes_on_a_table(), lambda k, T: moved(40, 0, 0) @ T @ rotated(2, 40)))
+    assert found[0][0] == "bad"
+
+
 def test_one_camera_cannot_tell_a_high_table_from_a_wrong_scale_and_says_so():
     [(verdict, text)] = told(TROUBLES["table 10 mm high"][0](boxes_on_a_table()[:1]))
     assert verdict == "bad"

@@ -228,6 +228,8 @@ def _stretched(
         return None
     times = np.array([faults[c].above / height for c, height in zip(bad, true, strict=True)])
     factor = float(times.mean())
+    if not DISTANCES[0] < min(faults[c].distance for c in bad) / factor < DISTANCES[1]:
+        return None  # then the poses are in other units
     if np.ptp(times) > STRETCHED * factor or 1 - SCALES[1] < factor < 1 + SCALES[1]:
         return None
     far = f"{factor:.3g} times too far" if factor > 1 else f"{1 / factor:.3g} times too near"

@@ -76,7 +76,7 @@ UPS = (
     ),
 )
 DEPTHS = (AS_IS, *(Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0)))
-_Y_BACK, _Z_BACK, _Y_Z = np.diag([1.0, -1, 1, 1]), np.diag([1.0, 1, -1, 1]), np.eye(4)[[0, 2, 1, 3]]
+_Y_BACK, _Y_Z = np.diag([1.0, -1, 1, 1]), np.eye(4)[[0, 2, 1, 3]]
 _LINK = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """The axes of an image, x right and y down, in those of a body that looks along its x with z up."""
 RARE = (
@@ -92,18 +92,13 @@ RARE = (
         lambda T: _parts(T[:3, :3].T, T[:3, 3]),
     ),
     Change(
-        "taking the translation as that of world-to-camera",
-        "write the camera's place in the world beside its camera-to-world rotation",
-        lambda T: _parts(T[:3, :3], -T[:3, :3] @ T[:3, 3]),
-    ),
-    Change(
         "turning the camera's axes (these are those of a body with x forward and z up, as ROS's camera_link),",
         "give the pose of the optical frame: z forward, x right, y down",
         lambda T: T @ _LINK,
     ),
     Change(
-        "turning the camera by 180 degrees about its axis (were images turned over?)",
-        "give poses and K of the images as they are recorded",
+        "turning the camera by 180 degrees about its axis (were images turned over, or are poses left-handed?)",
+        "give right-handed poses, and K, of the images as they are recorded",
         lambda T: T @ np.diag([-1.0, -1, 1, 1]),
     ),
     Change(
@@ -119,8 +114,6 @@ RARE = (
     Change(
         "taking the world as left-handed with y up (Unity's)", "give right-handed poses", lambda T: _Y_Z @ T @ _Y_BACK
     ),
-    Change("taking the axes as left-handed, y mirrored,", "give right-handed poses", lambda T: _Y_BACK @ T @ _Y_BACK),
-    Change("taking the axes as left-handed, z mirrored,", "give right-handed poses", lambda T: _Z_BACK @ T @ _Z_BACK),
 )
 """Slips that are tried, alone and with one of the usual ones, where these explain nothing and the fault is a large one."""
 MOST_CHANGES = 3, 2

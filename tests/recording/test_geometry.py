@@ -213,18 +213,18 @@ def test_one_camera_is_enough(trouble):
     assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
 
 
+Y_BACK = np.diag([1.0, -1, 1, 1])
 LINK = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 UNCOMMON = {
     "centimetres": (lambda T: stretched(T, 100), "taking the poses as centimetres puts the table"),
     "inches": (lambda T: stretched(T, 1 / 0.0254), "taking the poses as inches puts the table"),
     "rotation transposed": (lambda T: rigid(T[:3, :3].T, T[:3, 3]), "transposing the rotation of T_world_camera puts"),
-    "two halves": (lambda T: rigid(T[:3, :3], -T[:3, :3].T @ T[:3, 3]), "translation as that of world-to-camera puts"),
     "camera_link": (lambda T: T @ np.linalg.inv(LINK), "ROS's camera_link., puts the table"),
     "turned over": (lambda T: T @ np.diag([-1.0, -1, 1, 1]), "turning the camera by 180 degrees .* puts the table"),
+    "left-handed": (lambda T: Y_BACK @ T @ Y_BACK, "turning the camera by 180 degrees .*are poses left-handed"),
     "x up": (lambda T: rotated(1, 90) @ T, "its x points up, puts the table"),
     "y down": (lambda T: rotated(0, 90) @ T, "its y points down, puts the table"),
-    "Unity": (lambda T: np.eye(4)[[0, 2, 1, 3]] @ T @ np.diag([1.0, -1, 1, 1]), "left-handed with y up .* puts"),
-    "y mirrored": (lambda T: np.diag([1.0, -1, 1, 1]) @ T @ np.diag([1.0, -1, 1, 1]), "left-handed, y mirrored, puts"),
+    "Unity": (lambda T: np.eye(4)[[0, 2, 1, 3]] @ T @ Y_BACK, "left-handed with y up .* puts"),
 }
 
 

@@ -132,6 +132,5 @@ COMBINED = sorted(
     ),
     key=lambda changes: len(made(changes)),
 )
-UNCOMMON = [(rare,) for rare in RARE] + [
-    (usual, rare) for rare in RARE for usual in (*LENGTHS, *INVERSES, *AXES, *UPS) if usual is not AS_IS
-]
+_USUAL = [change for change in (*LENGTHS, *INVERSES, *AXES, *UPS) if change is not AS_IS]
+UNCOMMON: list[tuple[Change, ...]] = [*((rare,) for rare in RARE), *product(_USUAL, RARE)]

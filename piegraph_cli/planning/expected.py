@@ -14,8 +14,9 @@ from scipy.spatial import cKDTree
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.size import UNLIKE, check_size
-from piegraph_cli.physics.particles import THICKNESS, Sizes, choose_particles, size_of
+from piegraph_cli.physics.particles import THICKNESS, Size, Sizes, choose_particles, size_of
 from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.planning.goals import Goal
 from piegraph_cli.recording.camera import Camera
 
 CELL = 0.01
@@ -34,6 +35,8 @@ OTHER = 0.15
 """Share of the points from which what lies apart is another thing, no stray points."""
 HEIGHTS, LIFTED = (5, 95), 0.012
 """Percentiles of a cloud's heights, and how far (m) both may lie from those of another on the same table."""
+UNITS, TOO_LARGE = (("millimetres", 1000.0), ("centimetres", 100.0), ("inches", 39.37)), 20.0
+"""What others write for metres, and how many times too large a thing is from which its numbers are no metres."""
 FOLDED = 1.65
 """Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
 
@@ -46,14 +49,17 @@ def check_object(cloud: np.ndarray, particles: np.ndarray, sizes: Sizes) -> list
 
     Raises `DataError` where it is not that object, or more than it is in the cloud, with the cause where one is found.
     """
-    check = check_size(size_of(particles), sizes, ())
-    found = _above(cloud, sizes)
+    now = size_of(particles)
+    check = check_size(now, sizes, ())
+    found = _no_metres(now.spacing / sizes.most.spacing) or _above(cloud, sizes)
     if not found and len(cloud) >= DENSE * len(particles):
         found = _table_in(cloud, sizes) or _beside(cloud, len(particles), sizes)
     if check.verdict == "good" and not found:
         return []
     bad = check.verdict == "bad"
-    cause, remedy = found or (f"this {'is not' if bad else 'may not be'} the trained object", UNLIKE_REMEDY)
+    cause, remedy = (
+        found or _raised(now, sizes) or (f"this {'is not' if bad else 'may not be'} the trained object", UNLIKE_REMEDY)
+    )
     if bad:
         raise DataError(f"{cause}: {check.text}", "the object now", remedy)
     return [f"{cause}: {check.text}\n  try: {remedy}"]
@@ -74,7 +80,13 @@ def check_goal(goal: np.ndarray, count: int, sizes: Sizes) -> list[str]:
 
 
 def require_level(goal: np.ndarray, cloud: np.ndarray) -> None:
-    """Raise `DataError` for a goal cloud [G, 3] (m) on another table than the object of a cloud [P, 3] (m)."""
+    """Raise `DataError` for a goal cloud [G, 3] (m) on another table than the object's cloud [P, 3] (m), or in other units."""
+    there, now = (
+        float(np.ptp(np.percentile(points[:, :2], HEIGHTS, axis=0), axis=0).max()) for points in (goal, cloud)
+    )
+    units = _no_metres(there / max(now, 1e-3))
+    if units:
+        raise DataError(f"{units[0]}: it is {there:.3g} m large, the object {now:.3g} m", "the goal", units[1])
     low, high = np.percentile(goal[:, 2], HEIGHTS) - np.percentile(cloud[:, 2], HEIGHTS)
     lift = float(
         min(low, high) if low > 0 else max(low, high)
@@ -121,6 +133,38 @@ def check_folds(particles: np.ndarray, trained: Trained, radius: float) -> list[
         "predictions are less sure\n  try: unfold it, or give particles that were tracked since it lay flat "
         "(--state TRACKS.h5:FRAME)"
     ]
+
+
+def check_shape(target: Goal, sizes: Sizes) -> list[str]:
+    """A word where a cloud, as the goal of an object that never bent, has nowhere the object's own shape."""
+    if target.particles is not None or sizes.bends:
+        return []
+    return [
+        "the goal: it has nowhere the shape that the object has now, and this object was never seen to bend: another object, "
+        "or another part of it\n  try: a goal cloud of this object, seen by the same cameras; --goal-at or --goal-pose"
+    ]
+
+
+def _no_metres(ratio: float) -> tuple[str, str] | None:
+    """Cause and remedy for what is so many times as large as it should be, where that is another unit."""
+    if ratio < TOO_LARGE:
+        return None
+    unit, each = min(UNITS, key=lambda known: abs(np.log(ratio / known[1])))
+    return f"these are {unit}, not metres", f"divide by {each:g}"
+
+
+def _raised(now: Size, sizes: Sizes) -> tuple[str, str] | None:
+    """Cause and remedy where nothing but the height above z = 0 is another one."""
+    apart = sizes.apart(now)
+    if apart.pop("height") < UNLIKE[0] or max(apart.values()) > UNLIKE[0]:
+        return None
+    lift = now.height - float(np.clip(now.height, sizes.least.height, sizes.most.height))
+    side = "higher" if lift > 0 else "lower"
+    return (
+        f"its top lies {abs(lift) * 1000:.0f} mm {side} than the trained object's: another object, or a table that is not at "
+        "z = 0",
+        f"--table HEIGHT, {abs(lift):.3f} m {side} than now, if that is where the table is; else the object's own cloud",
+    )
 
 
 def _cells(points: np.ndarray) -> set[tuple[int, int]]:

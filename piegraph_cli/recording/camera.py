@@ -12,6 +12,9 @@ UNDISTORT_ITERATIONS = 20
 SKEW = 0.01
 """What the second number of intrinsics may be, as a share of the focal length; it is not used."""
 
+BENT_BACK = 1.0
+"""Pixels within which a lens that is undone and applied again has to come back."""
+
 
 def check_intrinsics(K: np.ndarray, name: str, where: str) -> np.ndarray:
     """A finite matrix [3, 3], if it is one of intrinsics: fx 0 cx, 0 fy cy, 0 0 1. Raises `DataError` where it is not."""
@@ -21,6 +24,29 @@ def check_intrinsics(K: np.ndarray, name: str, where: str) -> np.ndarray:
         why = ": it is transposed" if np.allclose(K[:2, 2], 0) and K[2, :2].any() else ""
         raise DataError(f"{name} is no matrix of intrinsics{why}", where, "its rows are fx 0 cx, 0 fy cy, 0 0 1")
     return K
+
+
+def check_lens(K: np.ndarray, distortion: np.ndarray, size: tuple[int, int], name: str, where: str) -> None:
+    """Raise `DataError` where a distortion cannot be undone in the middle of an image of a size (width, height) in pixels.
+
+    Coefficients in another order, or those of another lens model, fold the image; what is seen there has no ray. Corners
+    of wide lenses fold in good calibrations too.
+    """
+    import cv2
+
+    across, down = (np.linspace(0.25 * length, 0.75 * length, 9) for length in size)
+    pixels = np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)
+    with np.errstate(all="ignore"):
+        rays = straight_rays(pixels, K, distortion)
+        back = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, distortion)[0].reshape(-1, 2)
+        right = np.abs(back - pixels).max(1) <= BENT_BACK
+    if not right.all():
+        x, y = pixels[np.flatnonzero(~right)[0]]
+        raise DataError(
+            f"{name} cannot be undone: around pixel {x:.0f}, {y:.0f} it folds the image",
+            where,
+            "the order is k1 k2 p1 p2 k3 k4 k5 k6; for a fisheye model undistort the images and give zeros",
+        )
 
 
 @dataclass(frozen=True)
@@ -93,19 +119,20 @@ def straight_rays(pixels: np.ndarray, K: np.ndarray, distortion: np.ndarray, eno
     if tilt_x or tilt_y:
         bent = _untilted(bent, tilt_x, tilt_y)
     straight = bent
-    for _ in range(UNDISTORT_ITERATIONS):
-        x, y = straight.T
-        r2 = x**2 + y**2
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        shift = np.column_stack(
-            [
-                2 * p1 * x * y + p2 * (r2 + 2 * x**2) + r2 * (s1 + r2 * s2),
-                p1 * (r2 + 2 * y**2) + 2 * p2 * x * y + r2 * (s3 + r2 * s4),
-            ]
-        )
-        before, straight = straight, (bent - shift) / radial[:, None]
-        if len(straight) and np.abs(straight - before).max() <= enough:
-            break
+    with np.errstate(all="ignore"):  # where a lens folds its corners there is no ray
+        for _ in range(UNDISTORT_ITERATIONS):
+            x, y = straight.T
+            r2 = x**2 + y**2
+            radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+            shift = np.column_stack(
+                [
+                    2 * p1 * x * y + p2 * (r2 + 2 * x**2) + r2 * (s1 + r2 * s2),
+                    p1 * (r2 + 2 * y**2) + 2 * p2 * x * y + r2 * (s3 + r2 * s4),
+                ]
+            )
+            before, straight = straight, (bent - shift) / radial[:, None]
+            if len(straight) and np.abs(straight - before).max() <= enough:
+                break
     return np.column_stack([straight, np.ones(len(straight))])
 
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations, product
+from itertools import combinations, permutations
 
 import numpy as np
 
 from piegraph_cli.recording.checks import listed
 from piegraph_cli.recording.planes import Plane
+from piegraph_cli.recording.slips import COMBINED, UNCOMMON, Change, made
 
 MOST_PERMUTED = 4
 """Up to so many cameras, every exchange of their poses is tried; of more, exchanges of two."""
@@ -19,6 +20,12 @@ LEVEL = 1.2
 """A table that is tilted by no more (deg) is level."""
 SCALES = (0.008, 0.3)
 """A scale that is off by less is no scale, by more no slip of a ruler."""
+LARGE = 0.05, 5.0
+"""Metres and degrees: what is less far off is no such slip."""
+ALIKE = 0.004, 1.0, 30.0
+"""Metres and degrees between the tables of cameras that see the same one, and the most it is tilted."""
+STRETCHED = 0.01
+"""Share by which cameras may differ in how many times too far they see the table."""
 
 
 @dataclass(frozen=True)
@@ -59,85 +66,6 @@ def fault_of(plane: Plane, T: np.ndarray, table: float, scale: float = 1.0) -> F
     return Fault(float(centre[2] - table), tilt, float(T[2, 3] - centre[2]), reach)
 
 
-@dataclass(frozen=True)
-class _Change:
-    """One thing that may be wrong, and how to undo it."""
-
-    name: str
-    remedy: str
-    pose: Callable[[np.ndarray], np.ndarray] = lambda T: T
-    scale: float = 1.0
-
-
-def _turned(T: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    turned = T.copy()
-    turned[:3] = rows @ T[:3]
-    return turned
-
-
-def _shrunk(T: np.ndarray) -> np.ndarray:
-    shrunk = T.copy()
-    shrunk[:3, 3] /= 1000
-    return shrunk
-
-
-_AS_IS = _Change("", "")
-_INVERSES = (
-    _AS_IS,
-    _Change(
-        "inverting T_world_camera",
-        "write the inverse of each matrix: T_world_camera maps points of the camera into the world",
-        lambda T: np.linalg.inv(T) if abs(np.linalg.det(T)) > 1e-9 else T,
-    ),
-)
-_AXES = (
-    _AS_IS,
-    _Change(
-        "turning the camera's y and z (these poses have OpenGL's axes)",
-        "negate the second and third column of the rotation: the camera looks along +z, y points down",
-        lambda T: T @ np.diag([1.0, -1, -1, 1]),
-    ),
-)
-_LENGTHS = (
-    _AS_IS,
-    _Change(
-        "taking the poses as millimetres", "divide the translation of T_world_camera by 1000: it is in metres", _shrunk
-    ),
-)
-_UPS = (
-    _AS_IS,
-    _Change(
-        "turning the world over, since its z points down,",
-        "negate the second and third row of T_world_camera: z points up, away from the table",
-        lambda T: _turned(T, np.diag([1.0, -1, -1])),
-    ),
-    _Change(
-        "turning the world, since its y points up,",
-        "turn the world by 90 degrees about x: z points up, away from the table",
-        lambda T: _turned(T, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
-    ),
-)
-_DEPTHS = (_AS_IS, *(_Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0)))
-ALIKE = 0.004, 1.0, 30.0
-"""Metres and degrees between the tables of cameras that see the same one, and the most it is tilted."""
-MOST_CHANGES = 3, 2
-"""Slips that may come together; with depth among them: of many combinations one would fit by chance."""
-
-
-def _made(changes: tuple[_Change, ...]) -> tuple[_Change, ...]:
-    return tuple(change for change in changes if change is not _AS_IS)
-
-
-_COMBINED = sorted(
-    (
-        changes
-        for changes in product(_LENGTHS, _INVERSES, _AXES, _UPS, _DEPTHS)
-        if 0 < len(_made(changes)) <= MOST_CHANGES[changes[-1].scale != 1]
-    ),
-    key=lambda changes: len(_made(changes)),
-)
-
-
 def find_cause(
     planes: Sequence[Sequence[Plane]],
     poses: Sequence[np.ndarray],
@@ -166,11 +94,12 @@ def find_cause(
         or _changed(bad, poses, depth_scales, worst, table)
         or _scaled(bad, faults, poses, names, table)
         or (_leaning([planes[c][0] for c in bad], [poses[c] for c in bad], bad) if len(bad) == len(poses) else None)
+        or _stretched(bad, faults, depth_scales, table)
+        or (_changed(bad, poses, depth_scales, worst, table, UNCOMMON) if _large(bad, faults) else None)
     )
     if found:
         return found
-    who = listed([names[c] for c in bad])
-    angle = max(faults[c].tilt for c in bad)
+    who, angle = listed([names[c] for c in bad]), max(faults[c].tilt for c in bad)
     return Cause(
         f"the pose of {who} is off (tilt {angle:.1f} deg); nothing simple explains it",
         "calibrate again with the board flat on the table (`piegraph calibrate`)",
@@ -179,18 +108,27 @@ def find_cause(
     )
 
 
+def _large(bad: Sequence[int], faults: Sequence[Fault]) -> bool:
+    return all(abs(faults[c].offset) > LARGE[0] or faults[c].tilt > LARGE[1] for c in bad)
+
+
 def _changed(
-    bad: Sequence[int], poses: Sequence[np.ndarray], depth_scales: Sequence[float], worst: Callable, table: float
+    bad: Sequence[int],
+    poses: Sequence[np.ndarray],
+    depth_scales: Sequence[float],
+    worst: Callable,
+    table: float,
+    tried: Sequence[tuple[Change, ...]] = COMBINED,
 ) -> Cause | None:
-    """The fewest common slips that bring all tables right: that is hardly chance."""
-    best: tuple[int, float, tuple[_Change, ...]] | None = None
-    for changes in _COMBINED:
-        made = _made(changes)
-        if best is not None and len(made) > best[0]:
+    """The fewest slips among those tried that bring all tables right: that is hardly chance."""
+    best: tuple[int, float, tuple[Change, ...]] | None = None
+    for changes in tried:
+        slips = made(changes)
+        if best is not None and len(slips) > best[0]:
             break
         scale = changes[-1].scale
 
-        def changed(c: int, changes: tuple[_Change, ...] = changes) -> np.ndarray:
+        def changed(c: int, changes: tuple[Change, ...] = changes) -> np.ndarray:
             T = poses[c]
             for change in changes:
                 T = change.pose(T)
@@ -198,7 +136,7 @@ def _changed(
 
         score = worst(bad, changed, scale)
         if score < CLOSE and (best is None or score < best[1]):
-            best = len(made), score, made
+            best = len(slips), score, slips
     if best is None:
         return None
     parts = [_depth_name(c, depth_scales[bad[0]]) if c.scale != 1 else (c.name, c.remedy) for c in best[2]]
@@ -208,7 +146,7 @@ def _changed(
     )
 
 
-def _depth_name(change: _Change, depth_scale: float) -> tuple[str, str]:
+def _depth_name(change: Change, depth_scale: float) -> tuple[str, str]:
     right = depth_scale * change.scale
     far = f"{1 / change.scale:g} times too far" if change.scale < 1 else f"{change.scale:g} times too near"
     return f"depth is {far}: depth_scale {right:g}", f"set depth_scale to {right:g} in cameras.json"
@@ -279,6 +217,25 @@ def _scaled(
         fits = fits[:1]
     who = "" if len(bad) == len(poses) else f" in {listed([names[c] for c in bad])}, or the pose is off"
     return Cause(", or ".join(f[1] for f in fits) + who, "; or ".join(f[2] for f in fits), tuple(bad))
+
+
+def _stretched(
+    bad: Sequence[int], faults: Sequence[Fault], depth_scales: Sequence[float], table: float
+) -> Cause | None:
+    """Depth that several cameras see so many times too far, whatever its unit is."""
+    true = [faults[c].above + faults[c].offset for c in bad]
+    if len(bad) < 2 or any(faults[c].tilt > LEVEL or height <= 0 for c, height in zip(bad, true, strict=True)):
+        return None
+    times = np.array([faults[c].above / height for c, height in zip(bad, true, strict=True)])
+    factor = float(times.mean())
+    if not DISTANCES[0] < min(faults[c].distance for c in bad) / factor < DISTANCES[1]:
+        return None  # then the poses are in other units
+    if np.ptp(times) > STRETCHED * factor or 1 - SCALES[1] < factor < 1 + SCALES[1]:
+        return None
+    far = f"{factor:.3g} times too far" if factor > 1 else f"{1 / factor:.3g} times too near"
+    right = f"{depth_scales[bad[0]] / factor:.3g}"
+    text = f"depth is {far}: depth_scale {right} puts the table at z = {table:g}"
+    return Cause(text, f"set depth_scale to {right} in cameras.json, and find out what unit depth has", tuple(bad))
 
 
 def _leaning(tables: Sequence[Plane], poses: Sequence[np.ndarray], bad: Sequence[int]) -> Cause | None:

@@ -19,6 +19,16 @@ CLEAR = 3.0
 """A match counts if it stands this many deviations above chance."""
 
 
+FLIPS = {
+    "mirrored, left for right,": (slice(None), slice(None, None, -1)),
+    "upside down": (slice(None, None, -1),),
+    "turned by 180 degrees": (slice(None, None, -1), slice(None, None, -1)),
+}
+"""Ways in which one image of a pair may have been turned over, and how that is undone."""
+FLIPPED, NEAR = (0.18, 2.0), 3
+"""How far outlines stand out on colour that is turned over, and how many times as far as without; pixels they may be aside."""
+
+
 @dataclass(frozen=True)
 class Shift:
     """How depth has to be moved to lie on colour."""
@@ -82,6 +92,31 @@ def match_outlines(masks: list[np.ndarray], colors: list[np.ndarray]) -> Shift |
     # noise moves the top of a broad hill by a pixel or two, which says nothing
     gain = float((fit.max() - middle) / max(fit[reach, reach] - middle, 0.1 * (fit.max() - middle)))
     return Shift(int(column) - reach, int(row) - reach, gain)
+
+
+def find_flip(masks: list[np.ndarray], colors: list[np.ndarray]) -> str | None:
+    """How colour images [H, W, 3] are turned over against the outlines of masks [H, W]; None if they are not."""
+    as_is = _standing_out(masks, colors)
+    fits = {name: _standing_out(masks, [color[undone] for color in colors]) for name, undone in FLIPS.items()}
+    best = max(fits, key=lambda name: fits[name])
+    return best if fits[best] > max(FLIPPED[0], FLIPPED[1] * as_is) else None
+
+
+def _standing_out(masks: list[np.ndarray], colors: list[np.ndarray]) -> float:
+    """How much stronger edges are on the outlines of masks, a few pixels aside at most, than around them; at most 1."""
+    import cv2
+
+    total, count = np.zeros((2 * NEAR + 1, 2 * NEAR + 1)), 0
+    for mask, color in zip(masks, colors, strict=True):
+        outline = mask & (cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) == 0)
+        if outline.sum() < FEWEST:
+            continue
+        edges = _edges(color)
+        around = cv2.dilate(outline.astype(np.uint8), np.ones((41, 41), np.uint8)) > 0
+        padded = np.pad(edges - edges[around].mean(), NEAR)
+        total += cv2.matchTemplate(padded, outline.astype(np.float32), cv2.TM_CCORR)
+        count += int(outline.sum())
+    return float(total.max() / count) if count else 0.0
 
 
 def _edges(color: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from piegraph_cli.recording.agreement import Sight
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.causes import Cause, Fault, fault_of, find_cause
 from piegraph_cli.recording.checks import Check, check_images, judged
-from piegraph_cli.recording.edges import match_outlines, standing
+from piegraph_cli.recording.edges import find_flip, match_outlines, standing
 from piegraph_cli.recording.pairs import check_pairs
 from piegraph_cli.recording.planes import Plane, Rays, find_planes
 from piegraph_cli.recording.texture import check_texture, picture_of
@@ -146,9 +146,10 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
         causes |= dict.fromkeys(cause.cameras, cause)
         left = [k for k in left if k not in cause.cameras]
     checks = []
-    for k, (look, fault) in enumerate(zip(looks, faults, strict=True)):
-        unseen = _in_view(look, workspace, table) < IN_VIEW
-        checks.append(_table_check(look, fault, causes.get(k), unseen, table))
+    hidden = [_in_view(look, workspace, table) < IN_VIEW for look in looks]
+    nowhere = all(hidden) and len(looks) > 1
+    for k, (look, fault, unseen) in enumerate(zip(looks, faults, hidden, strict=True)):
+        checks.append(_table_check(look, fault, causes.get(k), unseen and not nowhere, table))
         checks.append(_view_check(look, causes.get(k), unseen))
     return checks
 
@@ -210,11 +211,17 @@ def _check_edges(look: _Look) -> Check | None:
     """Depth against colour; None where nothing stands on the table whose edges could be compared."""
     assert look.table is not None
     masks = [standing(depth, look.camera, look.rays, look.table) for depth in look.view.depth]
+    allowed, wrong = (share * look.camera.width for share in SHIFT)
     shift = match_outlines(masks, list(look.view.color))
+    if shift is None or shift.gain > GAIN[0]:
+        flip = find_flip(masks, list(look.view.color))
+        if flip:
+            text, cause = "edges of depth are not those of colour", f"one of them is {flip} against the other"
+            remedy = "turn the images of one kind over, as the other kind is recorded"
+            return Check("edges", (look.camera.name,), wrong, "px", allowed, "bad", text, cause, remedy)
     if shift is None:
         return None
     pixels = float(np.hypot(shift.x, shift.y))
-    allowed, wrong = (share * look.camera.width for share in SHIFT)
     verdict = judged(pixels, allowed, wrong)
     if shift.gain < GAIN[1] and verdict == "bad":
         verdict = "doubtful"

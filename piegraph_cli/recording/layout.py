@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics
+from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics, check_lens
 from piegraph_cli.recording.encoded import MOST_BYTES, MOST_PIXELS, decode_image
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.numbers import Number, by_number
@@ -111,6 +111,7 @@ def _camera(name: str, entry: CameraEntry, coefficients: int, path: Path) -> Cam
     K = _intrinsics(entry.K, "K", where)
     distortion = _distortion(entry.distortion, "distortion", where)
     distortion = np.pad(distortion, (0, coefficients - len(distortion)))
+    check_lens(K, distortion, (entry.width, entry.height), "distortion", where)
     pose = np.eye(4).tolist() if entry.T_world_camera is None else entry.T_world_camera
     T = _transform(pose, "T_world_camera", where, "run `piegraph calibrate`")
     view = _depth_view(entry, where)
@@ -128,11 +129,14 @@ def _depth_view(entry: CameraEntry, where: str) -> DepthView | None:
             where,
             "depth that is not registered to colour needs depth_K and T_color_depth",
         )
+    size = entry.depth_width or entry.width, entry.depth_height or entry.height
+    K = _intrinsics(entry.depth_K, "depth_K", where)
+    distortion = np.pad(_distortion(entry.depth_distortion or [0.0] * 5, "depth_distortion", where), (0, 14))[:14]
+    check_lens(K, distortion, size, "depth_distortion", where)
     return DepthView(
-        entry.depth_width or entry.width,
-        entry.depth_height or entry.height,
-        _intrinsics(entry.depth_K, "depth_K", where),
-        np.pad(_distortion(entry.depth_distortion or [0.0] * 5, "depth_distortion", where), (0, 14))[:14],
+        *size,
+        K,
+        distortion,
         _transform(entry.T_color_depth, "T_color_depth", where, "it maps points of the depth camera to the colour one"),
     )
 

@@ -54,7 +54,8 @@ class Rays:
     def points(self, depth: np.ndarray) -> np.ndarray:
         """Points [M, 3] of the rays that have a reading in a depth image [H, W]; in its units."""
         z = depth[self.rows, self.columns].astype(float)
-        return self.rays[z > 0] * z[z > 0, None]
+        seen = (z > 0) & np.isfinite(self.rays).all(1)  # the corners of a wide lens may have no ray
+        return self.rays[seen] * z[seen, None]
 
 
 def find_planes(points: np.ndarray) -> list[Plane]:

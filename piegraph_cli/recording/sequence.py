@@ -12,11 +12,12 @@ from piegraph_cli.recording.clocks import OFF, TOLD, changes, compare_clocks, ex
 from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
+from piegraph_cli.recording.frozen import find_frozen
 from piegraph_cli.recording.images import ImageStack, encode_depth, encode_mask, join_images
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers import read_films, read_path
 from piegraph_cli.recording.registration import register_depth
-from piegraph_cli.recording.timing import align_frames, frame_times
+from piegraph_cli.recording.timing import FEWEST, align_frames, frame_times
 
 SMOOTHER = 8
 """Times that depth is smoother with its bytes exchanged where they were exchanged before."""
@@ -41,16 +42,17 @@ def read_sequence(
     except DataError as error:
         raise _with_clocks(error, films) from None
     if len(time) < 2:
-        hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
-        raise DataError("one frame: nothing can be seen to move", str(folder), hint)
+        raise _one_frame(films, layout, folder)
     stamps = frame_times([film.times for film in films], source)
     clock = stamps.mean(1)
     tool, gaps = at_frames(path, clock, params.tool_point) if path else ({}, [])
-    images, blind = _read_images(films, source, progress)
+    images, blind, stopped = _read_images(films, source, progress)
     there = [int(source[source[:, c] >= 0, c][0]) for c in range(len(films))]
     _check_byte_order(folder, films, there)
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
+    warnings += _check_frozen(folder, cameras, *stopped)
+    source = np.where(stopped[0] & (source >= 0), ~source, source)
     arrays = images | tool | _camera_arrays(cameras)
     arrays["time"] = time
     arrays["stamp"] = stamps - clock[0]
@@ -61,6 +63,16 @@ def read_sequence(
         frame, c = np.argwhere(blind)[0]
         warnings.append(f"{blind.sum()} depth images without a reading, first: camera {cameras[c].name}, frame {frame}")
     return arrays, warnings
+
+
+def _one_frame(films: list[Film], layout: str, folder: Path) -> DataError:
+    most = max(films, key=lambda film: len(film.times))
+    if len(most.times) > 2 and layout != "stills":
+        span = most.times[-1] - most.times[0]
+        message = f"all {len(most.times)} frames of camera {most.camera.name} lie within {span:.2g} s"
+        return DataError(message, str(folder), "give the time stamps in seconds, or record longer")
+    hint = "piegraph look shows what is there" if layout == "stills" else "record longer, or remove this sequence"
+    return DataError("one frame: nothing can be seen to move", str(folder), hint)
 
 
 def _on_one_clock(films: list[Film], offsets: dict[str, float], folder: Path) -> list[Film]:
@@ -109,10 +121,13 @@ def _camera_arrays(cameras: list[Camera]) -> dict[str, np.ndarray]:
     }
 
 
-def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Encoded images of the frames `source` [F, C], depth registered to colour; which depth images [F, C] are empty.
+def _read_images(
+    films: list[Film], source: np.ndarray, progress: Progress
+) -> tuple[dict[str, np.ndarray], np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Encoded images of the frames `source` [F, C], depth registered to colour, and which depth images [F, C] are empty.
 
-    Masks are among them where the recording has any; those it lacks have no bytes.
+    Third, which colour and which depth images [F, C] a camera that stopped repeats: depth has no reading there. Masks are
+    among the images where the recording has any; those it lacks have no bytes.
     """
     color, depth, masks, blind = [], [], [], np.zeros(source.shape, bool)
     for frame in progress(range(len(source))):
@@ -131,10 +146,14 @@ def _read_images(films: list[Film], source: np.ndarray, progress: Progress) -> t
             blind[frame, c] = not image.any()
             mask = film.images.mask(k)
             masks.append(b"" if mask is None else encode_mask(mask))
+    stopped = find_frozen(color, depth, source >= 0)
+    for frame, c in np.argwhere(stopped[0] | stopped[1]):
+        size = films[c].camera.height, films[c].camera.width
+        depth[frame * len(films) + c] = encode_depth(np.zeros(size, np.uint16))
     arrays: dict[str, np.ndarray] = {}
     for name, images in [("color", color), ("depth", depth), *([("mask", masks)] if any(masks) else [])]:
         arrays[name], arrays[f"{name}_offsets"] = join_images(images)
-    return arrays, blind
+    return arrays, blind, stopped
 
 
 def _check_byte_order(folder: Path, films: list[Film], first: list[int]) -> None:
@@ -160,3 +179,20 @@ def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None
             str(folder / cameras[c].name / "depth"),
             "check that depth was recorded, or leave the camera out: its folder, and what cameras.json has of it",
         )
+
+
+def _check_frozen(folder: Path, cameras: list[Camera], color: np.ndarray, depth: np.ndarray) -> list[str]:
+    """Warnings of cameras whose colour or depth images [F, C] are repeated. Raises `DataError` where most of them are."""
+    warnings = []
+    for c, camera in enumerate(cameras):
+        for kind, repeated in (("colour", color[:, c]), ("depth", depth[:, c])):
+            frames = np.flatnonzero(repeated)
+            if not len(frames):
+                continue
+            text = f"camera {camera.name} stopped: its {kind} repeats one picture from frame {frames[0]} on"
+            text += f", in {len(frames)} of {len(repeated)} frames"
+            if len(frames) > (1 - FEWEST) * len(repeated):
+                hint = "record again, or leave the camera out: its folder, and what cameras.json has of it"
+                raise DataError(text, str(folder / camera.name), hint)
+            warnings.append(f"{text}; its depth counts for nothing there")
+    return warnings

@@ -6,10 +6,13 @@ from piegraph_cli.errors import DataError
 
 SAME_RATE = 0.1
 """A recording within this share of the wanted rate is taken frame by frame."""
-SLOWEST, FASTEST = 0.2, 2000.0
-"""Frames a second beyond which time stamps are not in seconds."""
+SLOWEST, FASTEST, UNUSUAL = 0.2, 2000.0, 200.0
+"""Frames a second beyond which time stamps are not in seconds, and from which that is asked."""
+COUNTED = 8
+"""Steps of whole numbers up to this one count frames: of milliseconds they would be 125 frames a second."""
 UNITS = ((1e3, 1e3, "milliseconds"), (1e6, 1e6, "microseconds"), (np.inf, 1e9, "nanoseconds"))
 """Step (s) up to which time stamps are in a unit, how many of it a second has, and its name."""
+COUNTS = "time stamps are in seconds: divide frame numbers by the frames a second"
 LONGEST_GAP, GAP = 10.0, 1.0
 """Seconds without a frame that are refused, and that are said, where they are also many times the usual step."""
 LONGEST = 86_400.0
@@ -42,12 +45,7 @@ def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 
     if not len(steps):
         return []
     usual = float(np.median(steps))
-    if 1 / usual < SLOWEST:
-        _, in_second, unit = next(row for row in UNITS if usual < row[0])
-        message = f"{1 / usual:.2g} frames a second: are these {unit}?"
-        raise DataError(message, where, f"time stamps are in seconds: divide by {in_second:.0f}")
-    if 1 / usual > FASTEST:
-        raise DataError(f"{1 / usual:.2g} frames a second", where, "give the time stamps in seconds")
+    warnings = _check_rate(times, steps, where)
     longest = int(np.argmax(steps))
     if steps[longest] > max(LONGEST_GAP, MANY * usual):
         raise DataError(
@@ -57,10 +55,32 @@ def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 
         )
     _check_span(times, where)
     gaps = np.flatnonzero(steps > max(GAP, MANY * usual))
-    if not len(gaps):
-        return []
-    more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
-    return [f"{where}: {steps[gaps[0]]:.1f} s without a frame before {item} {gaps[0] + 1 + first}{more}"]
+    if len(gaps):
+        more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
+        warnings.append(f"{where}: {steps[gaps[0]]:.1f} s without a frame before {item} {gaps[0] + 1 + first}{more}")
+    return warnings
+
+
+def _check_rate(times: np.ndarray, steps: np.ndarray, where: str) -> list[str]:
+    """Refuse rates that cameras do not have, with the unit that would make one; warn of those they hardly have."""
+    usual = float(np.median(steps))
+    counted = (
+        1 <= usual <= COUNTED and len(steps) > 1 and bool((steps == usual).all() and (times == np.round(times)).all())
+    )
+    frames = f"whole numbers, {usual:g} apart: are these frame numbers?"
+    if 1 / usual < SLOWEST:
+        if counted:
+            raise DataError(f"time stamps are {frames}", where, COUNTS)
+        _, in_second, unit = next(row for row in UNITS if usual < row[0])
+        message = f"{1 / usual:.2g} frames a second: are these {unit}?"
+        raise DataError(message, where, f"time stamps are in seconds: divide by {in_second:.0f}")
+    if 1 / usual > FASTEST:
+        raise DataError(f"{1 / usual:.2g} frames a second", where, "give the time stamps in seconds")
+    if counted:
+        return [f"{where}: time stamps are {frames}\n  try: {COUNTS}"]
+    if 1 / usual > UNUSUAL:
+        return [f"{where}: {1 / usual:.0f} frames a second: are these minutes?\n  try: give the time stamps in seconds"]
+    return []
 
 
 def _check_span(times: np.ndarray, where: str) -> None:

@@ -12,7 +12,7 @@ from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.particles import Sizes, _rectangle, choose_particles
 from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
-from piegraph_cli.planning.expected import check_folds, check_object
+from piegraph_cli.planning.expected import check_folds, check_object, require_level
 from piegraph_cli.planning.goals import Goal, move_in_plane
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
@@ -70,6 +70,14 @@ def test_another_object_or_more_than_the_object_is_said_with_its_cause():
         (np.concatenate([cloud, table]), "the table is in the cloud"),
         (np.concatenate([cloud, hand]), r"something reaches 1[45] cm high, the trained object 3\.5 cm: a hand"),
         (np.concatenate([cloud, other]), "2 things are in the cloud"),
+        (cloud * 1000, r"these are millimetres, not metres: it is 20[0-9]{3}\.. × "),
+        (cloud * 100, "these are centimetres"),
+        (cloud / 0.0254, "these are inches"),
+        (
+            cloud + np.float32([0, 0, 0.03]),
+            "its top lies 3[0-3] mm higher than the trained object's: .* a table that is not at z = 0",
+        ),
+        (cloud - np.float32([0, 0, 0.018]), "its top lies 1[4-9] mm lower than the trained object's"),
     ):
         with pytest.raises(DataError, match=message) as caught:
             check(wrong.astype(np.float32), sizes)
@@ -89,6 +97,26 @@ def test_a_goal_that_is_another_object_is_said_and_planned_for_all_the_same():
     (said,) = model.plan(cloud, goal=boxed(0.34, 0.12, (0, 0.035), [0.1, 0])).warnings
     assert said.startswith("the goal: this is not the trained object: it is 3")
     assert model.plan(cloud, goal=cloud[:20], cost="chamfer").warnings == ()
+
+
+def test_a_goal_of_the_same_size_and_another_shape_is_said_of_what_never_bends():
+    model = Model("static", trained("tblock"), PlanParams(samples=8, cem_iterations=1))
+    cloud = seen("tblock")[2][0]
+    angle, radius = RNG.uniform(0, 2 * np.pi, 2000), 0.1 * np.sqrt(RNG.uniform(0, 1, 2000))
+    disc = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(2000, 0.03)]).astype(np.float32)
+    (said,) = model.plan(cloud, goal=disc).warnings
+    assert said.startswith("the goal: it has nowhere the shape that the object has now")
+    for yaw in (0.4, 2.0, -1.2):
+        assert model.plan(cloud, goal=move_in_plane(cloud[::2], (0.05, 0.02, yaw))).warnings == ()
+
+
+@pytest.mark.parametrize(("times", "unit"), [(1000, "millimetres"), (100, "centimetres"), (39.37, "inches")])
+def test_a_goal_in_other_units_is_refused_with_the_unit(times, unit):
+    cloud = seen("tblock")[2][0]
+    with pytest.raises(DataError, match=f"these are {unit}, not metres") as caught:
+        require_level(cloud * np.float32(times), cloud)
+    assert f"divide by {times:g}" in caught.value.hint
+    require_level(cloud * np.float32([3, 3, 1]), cloud)
 
 
 def test_a_bending_thing_may_be_smaller_but_not_longer():

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.errors import DataError
+from piegraph_cli.recording.camera import Camera, check_lens
 
 K = np.array([[390.0, 0, 210.3], [0, 385.0, 161.7], [0, 0, 1]])
 
@@ -78,3 +79,25 @@ def test_points_behind_the_camera_have_negative_depth():
 def test_no_points():
     assert camera().project(np.zeros((0, 3)))[0].shape == (0, 2)
     assert camera().unproject(np.zeros((0, 2)), np.zeros(0)).shape == (0, 3)
+
+
+LENSES = {
+    "Kinect of 2020, colour": ([0.5, -2.6, 0.0003, -0.0004, 1.5, 0.38, -2.4, 1.46], 610, (1280, 720)),
+    "Kinect of 2010": ([0.2624, -0.9531, -0.0054, 0.0026, 1.1633], 517, (640, 480)),
+    "wide, its corners fold": ([-0.25, 0.07, 0, 0, -0.008], 870, (1920, 1080)),
+    "no lens": ([0, 0, 0, 0, 0], 300, (424, 318)),
+}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_lenses_as_they_are_sold_can_be_undone(lens):
+    distortion, focal, (width, height) = LENSES[lens]
+    matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], float)
+    check_lens(matrix, np.array(distortion, float), (width, height), "distortion", "cameras.json")
+
+
+@pytest.mark.parametrize("distortion", [[0.5, -2.6, 1.5, 0.38, -2.4, 1.46, 0.0003, -0.0004], [50, -2000, 0, 0, 0]])
+def test_coefficients_in_another_order_fold_the_image_and_are_refused(distortion):
+    matrix = np.array([[610.0, 0, 640], [0, 610, 360], [0, 0, 1]])
+    with pytest.raises(DataError, match="distortion cannot be undone: around pixel 320, 180"):
+        check_lens(matrix, np.array(distortion, float), (1280, 720), "distortion", "cameras.json, camera left")

@@ -131,6 +131,15 @@ def test_usual_errors_of_calibration_are_good_and_hide_no_trouble(seed):
 INVERSE = "inverting T_world_camera puts the table at z = 0"
 OPENGL = "OpenGL's axes. puts the table at z = 0"
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+def colors(change, only=None):
+    return lambda views: [
+        replace(view, color=[np.ascontiguousarray(change(c)) for c in view.color]) if only in (None, k) else view
+        for k, view in enumerate(views)
+    ]
+
+
 TROUBLES = {
     "all inverted": (poses(np.linalg.inv), INVERSE),
     "one inverted": (poses(np.linalg.inv, 2), f"^cam2: .*{INVERSE}"),
@@ -178,6 +187,10 @@ TROUBLES = {
     "depth 15 px right": (depths(lambda d: np.roll(d, 15, 1)), r"moving depth by -1[456], -?[012] px"),
     "depth 8 px left": (depths(lambda d: np.roll(d, -8, 1)), r"moving depth by [789], -?[012] px"),
     "depth 9 px down": (depths(lambda d: np.roll(d, 9, 0)), r"moving depth by -?[012], -([789]|10) px"),
+    "colour mirrored": (colors(lambda c: c[:, ::-1]), "one of them is mirrored, left for right, against the other"),
+    "colour of one mirrored": (colors(lambda c: c[:, ::-1], 2), "^cam2: .*mirrored, left for right, against the other"),
+    "colour upside down": (colors(lambda c: c[::-1]), "one of them is upside down against the other"),
+    "colour turned": (colors(lambda c: c[::-1, ::-1]), "one of them is turned by 180 degrees against the other"),
     "depth of one 20 px": (depths(lambda d: np.roll(d, 20, 1), 3), r"^cam3: .*moving depth by -(19|20|21), -?[012] px"),
 }
 
@@ -198,6 +211,46 @@ def test_one_camera_is_enough(trouble):
     spoil, cause = TROUBLES[trouble]
     found = told(spoil(boxes_on_a_table()[:1]))
     assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+Y_BACK = np.diag([1.0, -1, 1, 1])
+LINK = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+UNCOMMON = {
+    "centimetres": (lambda T: stretched(T, 100), "taking the poses as centimetres puts the table"),
+    "inches": (lambda T: stretched(T, 1 / 0.0254), "taking the poses as inches puts the table"),
+    "rotation transposed": (lambda T: rigid(T[:3, :3].T, T[:3, 3]), "transposing the rotation of T_world_camera puts"),
+    "camera_link": (lambda T: T @ np.linalg.inv(LINK), "ROS's camera_link., puts the table"),
+    "turned over": (lambda T: T @ np.diag([-1.0, -1, 1, 1]), "turning the camera by 180 degrees .* puts the table"),
+    "left-handed": (lambda T: Y_BACK @ T @ Y_BACK, "turning the camera by 180 degrees .*are poses left-handed"),
+    "x up": (lambda T: rotated(1, 90) @ T, "its x points up, puts the table"),
+    "y down": (lambda T: rotated(0, 90) @ T, "its y points down, puts the table"),
+    "Unity": (lambda T: np.eye(4)[[0, 2, 1, 3]] @ T @ Y_BACK, "left-handed with y up .* puts"),
+}
+
+
+def rigid(rotation, translation):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
+
+
+@pytest.mark.parametrize("chosen", [(0, 1, 2, 3), (0, 2)], ids=str)
+@pytest.mark.parametrize("slip", UNCOMMON)
+def test_uncommon_slips_are_bad_and_named_too(slip, chosen):
+    change, cause = UNCOMMON[slip]
+    found = told(with_poses([boxes_on_a_table()[k] for k in chosen], lambda k, T: change(T)))
+    assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+def test_depth_of_any_unit_is_told_by_several_cameras():
+    found = told(scales(1 / 256)(boxes_on_a_table()))
+    assert [verdict for verdict, _ in found] == ["bad"]
+    assert re.search(r"depth is 3.9\d? times too far: depth_scale 0.00(1|0999) puts the table at z = 0", found[0][1])
+
+
+def test_cameras_that_all_look_elsewhere_are_no_recording_of_a_table():
+    found = told(with_poses(boxes_on_a_table(), lambda k, T: moved(40, 0, 0) @ T @ rotated(2, 40)))
+    assert found[0][0] == "bad"
 
 
 def test_one_camera_cannot_tell_a_high_table_from_a_wrong_scale_and_says_so():

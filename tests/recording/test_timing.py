@@ -62,3 +62,26 @@ def test_a_camera_that_lost_more_than_half_is_refused():
     whole = np.arange(12) / 5
     with pytest.raises(DataError, match="of 12 frames have a partner in every camera"):
         pair_frames({"a": whole, "b": whole, "c": whole[:5]}, 0.05, "here")
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (np.arange(40), "time stamps are whole numbers, 1 apart: are these frame numbers?"),
+        (3 + 2 * np.arange(40), "time stamps are whole numbers, 2 apart"),
+        (np.arange(2000) / 5 / 60, "300 frames a second: are these minutes?"),
+        (np.arange(40) * 1.0 + 0.25, None),
+        (np.round(np.arange(40) * 1.04), None),
+        (np.arange(400) / 90, None),
+        (np.array([0, 1]), None),
+    ],
+)
+def test_numbers_of_frames_and_minutes_are_asked_about(times, said):
+    warnings = check_times(np.asarray(times, float), "t")
+    assert [said in warning for warning in warnings] == ([True] if said else [])
+
+
+@pytest.mark.parametrize(("step", "said"), [(6, "are these frame numbers?"), (33, "are these milliseconds?")])
+def test_what_is_too_slow_for_seconds_is_refused_with_what_it_may_be(step, said):
+    with pytest.raises(DataError, match=said):
+        check_times(step * np.arange(40.0), "t")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.camera import Camera, check_lens
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.layout import check_transform, image_size
 from piegraph_cli.recording.params import ReadParams
@@ -46,6 +46,7 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     files = [(color[k], depth[n]) for k, n in zip(paired, partner, strict=True)]
     K, distortion = _intrinsics(folder)
     width, height = image_size(files[0][0], "rgb")
+    check_lens(K, distortion, (width, height), "the distortion", str(folder / "calibration.txt"))
     camera = Camera("rgb", width, height, K, distortion, _pose(folder, times[paired]), DEPTH_SCALE)
     return [Film(camera, times[paired], ImageFiles(camera, files), paired.astype(np.int64))], gaps
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera, DepthView
+from piegraph_cli.recording.camera import Camera, DepthView, check_lens
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.readers.ros.pictures import depth_scale
 from piegraph_cli.recording.readers.ros.survey import Survey, Topic
@@ -76,7 +76,9 @@ def intrinsics(topic: Topic, survey: Survey) -> tuple[int, int, np.ndarray, np.n
     elif model not in PINHOLE or len(distortion) not in COEFFICIENTS:
         message = f"distortion {model!r} of {len(distortion)} numbers is not known here"
         raise DataError(message, where, "give the camera in cameras.json with a model of OpenCV")
-    return int(info.width), int(info.height), K, np.pad(distortion, (0, max(0, 5 - len(distortion))))
+    distortion, size = np.pad(distortion, (0, max(0, 5 - len(distortion)))), (int(info.width), int(info.height))
+    check_lens(K, distortion, size, "the distortion", where)
+    return *size, K, distortion
 
 
 def _of(info: Any, name: str) -> Any:

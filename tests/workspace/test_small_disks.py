@@ -1,0 +1,99 @@
+"""Real file systems that are small, which only root can make: the bytes gone, the inodes gone, the quota reached."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.attack.chains import different
+from tests.attack.full_disk import contents
+from tests.mounts import Mounts
+
+TMPFS = "mount -t tmpfs -o size={size},nr_inodes=400 small small"
+EXT4 = """
+truncate -s 12M image && mkfs.ext4 -q -F -m 0 image && mount -o loop image small || exit 1
+"""
+QUOTA = """
+truncate -s 128M image && mkfs.btrfs -q image && mount -o loop image small || exit 1
+btrfs quota enable small && btrfs subvolume create small/of && btrfs qgroup limit 4M small/of || exit 1
+"""
+
+
+@pytest.fixture
+def disk(tmp_path) -> Iterator[Callable[..., Mounts]]:
+    made: list[Mounts] = []
+
+    def make(script: str, inner: str = "") -> Mounts:
+        (tmp_path / "small").mkdir()
+        made.append(Mounts(script, tmp_path, tmp_path / "small" / inner))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def bytes_gone(disk: Mounts, left: int) -> list[Path]:
+    """Files that fill a disk, but for so many bytes."""
+    ballast = [disk.seen / "ballast"]
+    with ballast[0].open("wb", buffering=0) as file:
+        for size in (1 << 20, 1 << 12):
+            try:
+                while True:
+                    file.write(os.urandom(size))
+            except OSError:
+                continue
+        file.truncate(max(0, file.tell() - left))
+    return ballast
+
+
+def inodes_gone(disk: Mounts, left: int) -> list[Path]:
+    """Files that take all inodes of a disk, but for so many."""
+    (disk.seen / "many").mkdir()
+    found: list[Path] = []
+    try:
+        while True:
+            found.append(disk.seen / "many" / str(len(found)))
+            found[-1].touch()
+    except OSError:
+        found.pop()
+    for path in found[:left]:
+        path.unlink()
+    return found[left:]
+
+
+@pytest.mark.parametrize(
+    ("how", "fill", "left", "commands"),
+    [
+        ((TMPFS.format(size="12M"),), bytes_gone, 8 << 10, ("plan", "train")),
+        ((TMPFS.format(size="12M"),), bytes_gone, 0, ("evaluate",)),
+        ((TMPFS.format(size="12M"),), inodes_gone, 0, ("plan", "report")),
+        ((TMPFS.format(size="12M"),), inodes_gone, 2, ("dataset",)),
+        ((EXT4,), bytes_gone, 0, ("plan", "evaluate")),
+        ((QUOTA, "of"), bytes_gone, 0, ("plan", "dataset")),
+    ],
+)
+def test_what_is_full_is_said_and_nothing_is_lost(disk, tiny_run, how, fill, left, commands):
+    small = disk(*how)
+    shutil.copytree(tiny_run, small.seen / "run")
+    before = contents(small.seen / "run")
+    ballast = fill(small, left)
+    for command in commands:
+        force = () if command == "report" else ("--force",)
+        full = small.piegraph(command, "--run", "run", *force, check=3)
+        assert "cannot be written" in full.stderr
+        assert "run/" in full.stderr
+        assert "free disk space" in full.stderr
+        assert "Traceback" not in full.stderr
+        now = contents(small.seen / "run")
+        assert {path: now.get(path) for path in before if path.endswith((".h5", ".toml"))} == {
+            path: of for path, of in before.items() if path.endswith((".h5", ".toml"))
+        }
+        assert not [path for path in now if path.endswith((".tmp", "index.html"))]
+    for path in ballast:
+        path.unlink()
+    for command in commands:
+        small.piegraph(command, "--run", "run")
+    assert not different(small.seen / "run", tiny_run)

@@ -91,17 +91,17 @@ def test_more_jobs_than_cores(run, tiny_run):
     assert not different(run, tiny_run)
 
 
-@pytest.mark.parametrize("days", [-30, 30])
-def test_a_clock_that_is_set_back_or_ahead(run, tiny_run, shim, days):
-    """Files are of the future then, or of long ago: what is fresh stays so, what changes is seen, what is made is the same."""
-    wrong = shim(run, clock=days * 86_400)
+def test_a_clock_that_is_set_back(run, tiny_run, shim):
+    """Files are of the future then: what is fresh stays so, what changes is seen, what is made is the same."""
+    days = 30
+    wrong = shim(run, clock=-days * 86_400)
     assert "all is fresh" in piegraph("run", "--run", run, "--dry", env=wrong).stdout
     piegraph("evaluate", "--run", run, "--force", env=wrong)
     metrics = next((run / "metrics").iterdir())
     data = bytearray(metrics.read_bytes())
     data[-1] ^= 1
     metrics.write_bytes(data)
-    os.utime(metrics, ns=(metrics.stat().st_atime_ns, metrics.stat().st_mtime_ns - days * 86_400 * 10**9))
+    os.utime(metrics, ns=(metrics.stat().st_atime_ns, metrics.stat().st_mtime_ns + days * 86_400 * 10**9))
     for now in (wrong, None):
         assert "would make" in piegraph("run", "--run", run, "--dry", env=now).stdout
     piegraph("run", "--run", run, env=wrong)

@@ -13,6 +13,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.files import MAKE_ROOM
 
 log = logging.getLogger("piegraph")
 
@@ -36,6 +37,8 @@ def held(file: Path) -> Iterator[bool]:
         log.info("waiting for another piegraph that works on %s", file)
         lock.acquire()
         waited = True
+    except OSError as error:
+        raise DataError(f"cannot be written: {error}", str(file), MAKE_ROOM) from None
     try:
         yield waited
     finally:

@@ -44,7 +44,6 @@ def writers(made: Callable[[Chain], Path]) -> Iterator[Writer]:
     render = ("simulate", "tblock", "--render", "--sequences", "1", "--strokes", "1", "--out", "rendered")
     yield Writer("simulate --render", render, lambda folder: None)
     yield Writer("pretrain", ("pretrain", "--out", "prior.h5", "--steps", "3"), lambda folder: None)
-    yield Writer("calibrate --table", ("calibrate", "rec", "--table"), _tilted)
     given = ("training=6", "interactions.measured=[3]", 'models=["static","rigid"]', "seeds=[0]")
     settings = (word for text in given for word in ("--set", text))
     yield Writer("reproduce", ("reproduce", "pushes", "--data", "measured.npz", "--runs", "runs", *settings), _measured)
@@ -76,15 +75,3 @@ def _bag(folder: Path) -> None:
     from tests.recording import test_bags as bags
 
     bags.write_bag(folder / "rec" / "take.bag", bags.camera_messages(bags.ONE, bags.LEFT, bags.pictures(0, 3), "/left"))
-
-
-def _tilted(folder: Path) -> None:
-    """A recording whose cameras are off by a tilt."""
-    import numpy as np
-
-    from piegraph_cli.recording.ground import level
-    from tests.recording.table_scene import BLOCK, make_views, with_poses, write_views
-    from tests.recording.test_table_level import RIG
-
-    T = np.linalg.inv(level((0.06, 0.08, -0.05)))
-    write_views(folder / "rec", with_poses(make_views(RIG, boxes=(BLOCK, BLOCK, BLOCK)), lambda k, own: T @ own))

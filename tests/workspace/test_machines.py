@@ -47,39 +47,40 @@ def test_without_locks_one_word_whatever_the_workers(run, shim):
     assert done.stderr.count("has no locks") == 1
 
 
-def test_a_run_that_cannot_be_written_is_read_all_the_same(run, tmp_path):
-    if os.geteuid() or subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
-        pytest.skip("to mount a folder read-only takes root")
+@pytest.fixture
+def mounts(tmp_path):
+    """From a script that mounts something: commands see it, and it is gone after the test."""
+    made: list[Mounts] = []
+
+    def make(script: str) -> Mounts:
+        made.append(Mounts(script, tmp_path, tmp_path))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def test_a_run_that_cannot_be_written_is_read_all_the_same(run, mounts, tmp_path):
     (run / "checkpoints").mkdir(exist_ok=True)
-    script = 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"'
-
-    def read_only(*words: object) -> subprocess.CompletedProcess:
-        command = ["unshare", "-m", "sh", "-c", script, str(run), *PROGRAM, *map(str, words), "--run", str(run)]
-        return subprocess.run(command, capture_output=True, text=True)
-
+    read_only = mounts("mount --bind run run && mount -o remount,ro,bind run")
     plan, page = tmp_path / "plan.h5", tmp_path / "page"
     for words in (("status",), ("evaluate",), ("plan", "--out", plan), ("report", "--out", page)):
-        done = read_only(*words)
-        assert done.returncode == 0, done.stderr
+        read_only.piegraph(*words, "--run", run)
     assert plan.exists()
     assert (page / "index.html").exists()
     for words in (("report",), ("train", "--force"), ("dataset", "--force")):
-        done = read_only(*words)
-        assert done.returncode == 3, done.stderr
+        done = read_only.piegraph(*words, "--run", run, check=3)
         assert "cannot be written" in done.stderr
         assert "Traceback" not in done.stderr
 
 
-def test_without_shared_memory_home_and_cores(run, tiny_run, tmp_path):
+def test_without_shared_memory_home_and_cores(run, tiny_run, mounts):
     """As in a bare container: nothing is lost but time."""
-    bare = Mounts("mount -t tmpfs -o ro none /dev/shm", tmp_path, tmp_path)
-    try:
-        environment = {k: v for k, v in os.environ.items() if not k.startswith("XDG_")} | {"HOME": "/proc/none"}
-        core = [min(os.sched_getaffinity(0))]
-        force = ("--force", "--jobs", 8)
-        done = bare.piegraph("evaluate", "--run", run, *force, env=environment, cores=core)
-    finally:
-        bare.end()
+    bare = mounts("mount -t tmpfs -o ro none /dev/shm")
+    homeless = {k: v for k, v in os.environ.items() if not k.startswith("XDG_")} | {"HOME": "/proc/none"}
+    core = [min(os.sched_getaffinity(0))]
+    done = bare.piegraph("evaluate", "--run", run, "--force", "--jobs", 8, env=homeless, cores=core)
     assert done.stderr.count("one process in place of") == 1
     assert "Traceback" not in done.stderr
     assert not different(run, tiny_run)

@@ -12,6 +12,7 @@ import hashlib
 import os
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections import Counter
@@ -92,7 +93,7 @@ class Attempts:
         (folder / "tmp").mkdir()
         return folder
 
-    def run(self, folder: Path, **settings: object):
+    def run(self, folder: Path, **settings: object) -> subprocess.CompletedProcess:
         """The command in a folder, its calls noted or failing."""
         if log := settings.get("log"):
             Path(str(log)).unlink(missing_ok=True)
@@ -103,7 +104,9 @@ class Attempts:
     def attack(self, place: Place, number: int, once: bool) -> tuple[str, list[str]]:
         """What became of one place: `refused` or `done`, and what is wrong about it."""
         folder, log = self.fresh("tried"), self.work / "failing"
-        settings = {"at": place.number, "errno": number, "log": log} | ({"many": 1} if once else {})
+        settings: dict[str, object] = {"at": place.number, "errno": number, "log": log}
+        if once:
+            settings["many"] = 1
         done = self.run(folder, **settings)
         failed = [(call, _plain(path)) for k, call, path in calls_in(log) if k >= place.number][: 1 if once else None]
         wrong = [] if failed else ["the call never came"]
@@ -115,7 +118,7 @@ class Attempts:
         wrong += [f"afterwards: {text}" for text in self.wrong_files(folder, whole=True)]
         return {0: "done", 3: "refused"}.get(done.returncode, "other"), wrong
 
-    def wrong_words(self, done, paths: list[str]) -> list[str]:
+    def wrong_words(self, done: subprocess.CompletedProcess, paths: list[str]) -> list[str]:
         """What is wrong about how it ended."""
         text = done.stderr
         found = [] if done.returncode in (0, 3) else [f"exit code {done.returncode}: {text[-600:]}"]
@@ -199,7 +202,8 @@ def main() -> int:
     parser.add_argument("--most", type=int, help="places of each command, drawn; all where it is left out")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    rng, counts, faults = np.random.default_rng(given.seed), Counter(), 0
+    rng, faults = np.random.default_rng(given.seed), 0
+    counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="full-disk") as name:
         work = Path(name)
         library = build(work)
@@ -214,9 +218,10 @@ def main() -> int:
     return int(bool(faults))
 
 
-def attack(attempts: Attempts, most: int | None, rng: np.random.Generator) -> tuple[Counter, int]:
+def attack(attempts: Attempts, most: int | None, rng: np.random.Generator) -> tuple[Counter[str], int]:
     """Try a command at its places; what became of them, and how many have a fault."""
-    places, tried, faults = places_in(attempts.log), Counter[str](), 0
+    places, faults = places_in(attempts.log), 0
+    tried: Counter[str] = Counter()
     for k, place in enumerate(chosen(places, most, rng)):
         number, once = (errno.ENOSPC, errno.EDQUOT)[k % 2], k % 3 == 2
         outcome, wrong = attempts.attack(place, number, once)

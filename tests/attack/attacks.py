@@ -314,7 +314,7 @@ def _make_json(kind: str, folder: Path) -> Path:
     return _write(f"{kind}.json", json.dumps(JSONS[kind]), folder)
 
 
-CLOUD = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (30, 3)).round(4).tolist()
+CLOUD = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (60, 3)).round(4).tolist()
 JSONS: dict[str, Any] = {
     "failures": {"track/s": {"key": "k", "message": "why"}},
     "plan": {"state": CLOUD, "goal_pose": [0.1, 0, 0.5], "candidates": 2, "settings": {"samples": 8, "horizon": 1}},

@@ -45,7 +45,8 @@ def bytes_gone(disk: Mounts, left: int) -> list[Path]:
                     file.write(os.urandom(size))
             except OSError:
                 continue
-        file.truncate(max(0, file.tell() - left))
+        if left:  # beyond a quota not even the length that it has can be set
+            file.truncate(max(0, file.tell() - left))
     return ballast
 
 

@@ -39,6 +39,8 @@ OWN = 0.1
 """Share of commands that are programs of their own."""
 SHORT, LONG = 4.0, 0.2
 """Most stops come within so many seconds; so large a share within half of what the whole takes, or nothing would be done."""
+WHEN: dict[int | None, str] = {None: "before the program began, or without end", 0: "when all was done"}
+"""What does not count as a stop, by what `stop` says."""
 BOOTING = ("Fatal Python error", "<frozen importlib", "<frozen runpy", "<frozen site", "KeyboardInterrupt")
 
 
@@ -118,7 +120,7 @@ def stop(command: Command, name: str, whole_group: bool, complete: Callable[[], 
     if early(command, code, text):
         return None, wrong
     done = code == -getattr(signal, name) and complete()  # Python itself was ending
-    if code not in (SIGNALS[name], 0) and not done:
+    if code != SIGNALS[name] and not done and not (code == 0 and complete()):
         wrong.append(f"exit code {code}: {text[-5000:]}")
     if "Traceback" in text or "leaked" in text or "bug in" in text:
         wrong.append(text[-1500:])
@@ -192,7 +194,7 @@ class Campaign:
             group = name == "SIGINT" and bool(self.rng.random() < 0.5)
             code, wrong = stop(command, name, group, lambda: not different(folder / chain.run, expected))
             wrong += broken(folder / chain.run)
-            self.stops[f"{name} --jobs {jobs}" if code is not None else f"{name} before the program began"] += 1
+            self.stops[f"{name} {WHEN.get(code, f'--jobs {jobs}')}"] += 1
             self.stages[where] += 1
             self.faults += [f"{chain.name}, {name}, --jobs {jobs}, {where}: {text}" for text in wrong]
             for text in wrong:
@@ -221,6 +223,9 @@ def main() -> int:
     parser.add_argument("seconds", type=float, help="how long; the runs that are under way then are finished")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's background jobs ignore it, and so would all commands
     import_all()
     gc.collect()
     gc.freeze()
@@ -243,8 +248,8 @@ def main() -> int:
 
 
 def _tell(campaign: Campaign) -> None:
-    kinds = {name: sum(n for how, n in campaign.stops.items() if how.startswith(name)) for name in SIGNALS}
-    print(f"{sum(kinds.values())} stops: {kinds}, of which {dict(sorted(campaign.stops.items()))}")
+    kinds = {name: sum(n for how, n in campaign.stops.items() if how.startswith(f"{name} --jobs")) for name in SIGNALS}
+    print(f"{sum(kinds.values())} stops: {kinds}; with others: {dict(sorted(campaign.stops.items()))}")
     print(f"  while this was made: {dict(campaign.stages.most_common())}")
     print(f"  finished: {dict(campaign.runs)}; {len(campaign.faults)} faults", flush=True)
 

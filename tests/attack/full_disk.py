@@ -31,9 +31,9 @@ from tests.attack.writers import Writer, writers
 from tests.cli import piegraph
 
 FREE = re.compile(
-    r"(^|/)(\.locks|\.known\.json|run\.log|failures\.json|warnings\.json|checkpoints|\..*\.checkpoint\.h5)"
+    r"(^|/)(\.locks|\.known\.json|run\.log|failures\.json|warnings\.json|checkpoints|\.drawn|\..*\.checkpoint\.h5)"
 )
-"""What may be another after a failure: notes, locks, and the state from which the next one goes on."""
+"""What may be another after a failure: notes, locks, pictures, which are drawn again, and states to go on from."""
 BARE = re.compile(r"\.(?P<name>.+)\.\d+\.tmp$")
 """A file that is renamed once it is whole."""
 
@@ -80,7 +80,7 @@ class Attempts:
         self.log = work / "calls"
         for name in ("reference", "again"):
             done = self.run(self.fresh(name), log=self.log)
-            assert done.returncode == 0, done.stderr
+            assert done.returncode == 0, (done.stdout, done.stderr)
         self.expected, again = (contents(work / name) for name in ("reference", "again"))
         self.told = {path for path in self.expected if self.expected[path] != again.get(path)}
         """Files that differ from one time to the next: they have dates in them."""

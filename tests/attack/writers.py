@@ -23,11 +23,13 @@ def writers(made: Callable[[Chain], Path]) -> Iterator[Writer]:
     """All of them; `made` gives the folder in which a chain was finished."""
     simulated, recorded = (partial(_copied, made, chain) for chain in (SIMULATED, OF_RECORDING))
     yield Writer("run", ("run", "recipe.toml", "--run", "run"), SIMULATED.prepare)
-    for stage in ("simulate", "dataset", "train", "evaluate", "plan"):
+    again = ("simulate", "tblock", "--out", "run", "--force")
+    yield Writer("simulate --force", again, simulated)
+    yield Writer("simulate --jobs 2", (*again, "--jobs", "2"), simulated)
+    for stage in ("dataset", "train", "evaluate", "plan"):
         yield Writer(f"{stage} --force", (stage, "--run", "run", "--force"), simulated)
     for stage in ("ingest", "hands", "segment", "fuse", "track", "score"):
         yield Writer(f"{stage} --force", (stage, "--run", "run", "--force"), recorded)
-    yield Writer("simulate --jobs 2", ("simulate", "--run", "run", "--force", "--jobs", "2"), simulated)
     yield Writer("plan --out", ("plan", "--run", "run", "--out", "out.h5"), simulated)
     yield Writer("report", ("report", "--run", "run"), simulated)
     yield Writer("report --out", ("report", "--run", "run", "--out", "page"), recorded)
@@ -39,7 +41,18 @@ def writers(made: Callable[[Chain], Path]) -> Iterator[Writer]:
     )
     yield Writer("import", ("import", "take.npz", "--run", "run"), _motion)
     yield Writer("unpack", ("unpack", "rec", "--out", "out"), _bag)
-    look = ("look", "recording/sequence_0000:4", "--run", "run", "--out", "now.ply", "--picture", "now.png")
+    look = (
+        "look",
+        "recording/sequence_0000:4",
+        "--run",
+        "run",
+        "--out",
+        "now.ply",
+        "--picture",
+        "now.png",
+        "--accept",
+        "cut,size",
+    )
     yield Writer("look", look, recorded)
     render = ("simulate", "tblock", "--render", "--sequences", "1", "--strokes", "1", "--out", "rendered")
     yield Writer("simulate --render", render, lambda folder: None)

@@ -15,7 +15,7 @@ SAMPLE ?= 150
 
 SECONDS ?= 600
 
-.PHONY: setup demo test smoke lint tables mutants attack kills libraries browser clean reproduce troubles $(EXPERIMENTS)
+.PHONY: setup demo test smoke lint tables mutants attack kills full-disk libraries browser clean reproduce troubles $(EXPERIMENTS)
 
 setup: .venv/.ready
 
@@ -78,6 +78,10 @@ attack: setup
 # commands that are killed, ended and interrupted at random moments of all stages, for so many seconds
 kills: setup
 	$(BIN)/python -m tests.attack.kills $(SECONDS)
+
+# every command that writes, on a disk that is full at one of its writes after the other; MOST=5 of each command
+full-disk: setup
+	$(BIN)/python -m tests.attack.full_disk $(if $(MOST),--most $(MOST))
 
 # the paper's experiments, each with its table and pictures in runs/paper/report: hours; `make table1 QUICK=1`: minutes,
 # into runs/quick. Interrupt and repeat at will: what is done is kept. HOURS=2 begins nothing after two hours;

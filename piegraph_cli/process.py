@@ -45,11 +45,33 @@ def free_memory() -> float | None:
     with contextlib.suppress(OSError, ValueError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
         free = 1024.0 * int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1])
-        with contextlib.suppress(OSError, ValueError):  # "max" is no number
-            limit, used = (int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current"))
-            free = min(free, float(limit - used))
-        return free
+        return min([free, *_left_by_groups(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))])
     return None
+
+
+def _left_by_groups(own: Path, groups: Path) -> Iterator[float]:
+    """Bytes that each control group leaves which this process is in, as containers and clusters make them, of both versions.
+
+    Files that were read and are no longer used count as used there, and are given up when memory is needed.
+    """
+    for line in own.read_text().splitlines() if own.exists() else ():
+        kinds, place = line.split(":", 2)[1:]
+        if kinds == "":
+            base, limit, used = groups, "memory.max", "memory.current"
+        elif "memory" in kinds.split(","):
+            base, limit, used = groups / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+        else:
+            continue
+        inner = base / place.lstrip("/")
+        for group in (inner, *(parent for parent in inner.parents if parent.is_relative_to(base))):
+            with contextlib.suppress(OSError, ValueError):  # "max" is no number
+                most, now = (int((group / name).read_text()) for name in (limit, used))
+                yield float(most - now + _idle_files(group / "memory.stat"))
+
+
+def _idle_files(stat: Path) -> int:
+    rows = dict(line.split() for line in stat.read_text().splitlines())
+    return int(rows.get("total_inactive_file", rows.get("inactive_file", 0)))
 
 
 NEED, SPACE = 0.8e9, 1.6e9

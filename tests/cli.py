@@ -20,14 +20,22 @@ PROGRAM = [sys.executable, "-m", "piegraph_cli"]
 
 
 def piegraph(
-    *arguments: object, check: int | None = 0, cwd: Path | None = None, env: dict[str, str] | None = None
+    *arguments: object,
+    check: int | None = 0,
+    cwd: Path | None = None,
+    env: dict[str, str] | None = None,
+    **place: object,
 ) -> subprocess.CompletedProcess:
-    """Run the command line in a process of its own, forked by `forks.py`; `check` is the exit code it must end with."""
-    server = _server()
+    """Run the command line in a process of its own, forked by `forks.py`; `check` is the exit code it must end with.
+
+    `place`: the cores it has, and whose file systems.
+    """
+    environment = dict(os.environ if env is None else env)
+    server = _server(environment.get("LD_PRELOAD", ""))
     with tempfile.TemporaryDirectory() as folder:
         files = {name: f"{folder}/{name}" for name in ("stdout", "stderr")}
         request = {"arguments": list(map(str, arguments)), "folder": str(cwd or Path.cwd()), **files}
-        server.stdin.write(json.dumps(request | {"environment": dict(os.environ if env is None else env)}) + "\n")
+        server.stdin.write(json.dumps(request | {"environment": environment, **place}) + "\n")
         server.stdin.flush()
         code = int(server.stdout.readline())
         done = subprocess.CompletedProcess(arguments, code, *(Path(path).read_text() for path in files.values()))
@@ -37,9 +45,11 @@ def piegraph(
 
 
 @functools.cache
-def _server() -> subprocess.Popen:
+def _server(preload: str) -> subprocess.Popen:
+    """One for each library that is preloaded: what is forked has those of its server."""
     command = [sys.executable, "-c", "from tests.forks import serve; serve()"]
-    server = subprocess.Popen(command, cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    server = subprocess.Popen(command, cwd=REPOSITORY, env=os.environ | {"LD_PRELOAD": preload}, **pipes)
     atexit.register(server.communicate)  # its stdin is closed, so it ends
     return server
 

@@ -1,9 +1,11 @@
 """A process that has imported PyTorch and forks for each command line, so that hundreds of them need not import it again.
 
-A request is a line of JSON on stdin: `arguments`, `folder`, `environment`, and the files `stdout` and `stderr`. The answer
-is the exit code. What is forked is what `piegraph` starts with: a process of its own, its packages not yet used.
+A request is a line of JSON on stdin: `arguments`, `folder`, `environment`, and the files `stdout` and `stderr`; `cores`, those
+that it may use, and `mounts`, a process whose file systems it is to see. The answer is the exit code. What is forked is what
+`piegraph` starts with: a process of its own, its packages not yet used.
 """
 
+import ctypes
 import gc
 import json
 import os
@@ -34,6 +36,12 @@ def serve() -> None:
 
 def become(request: dict[str, Any]) -> None:
     """Take the place of a process that was started with this folder, environment and these files."""
+    if request.get("mounts"):
+        place = os.open(f"/proc/{request['mounts']}/ns/mnt", os.O_RDONLY)
+        if ctypes.CDLL(None, use_errno=True).setns(place, 0):
+            raise OSError(ctypes.get_errno(), "no entry into the file systems of another process")
+    if request.get("cores"):
+        os.sched_setaffinity(0, request["cores"])
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["environment"])

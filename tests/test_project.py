@@ -1,5 +1,6 @@
 """What people who join find: the pages agree with the package, and lead somewhere."""
 
+import importlib
 import re
 import sys
 
@@ -56,3 +57,11 @@ def test_commands_of_make_are_there(page):
     targets = set(" ".join(re.findall(r"^(?:\.PHONY:|EXPERIMENTS :=)(.*)$", makefile, re.MULTILINE)).split())
     used = set(re.findall(r"(?:^|`)make ([a-z0-9-]+)", page.read_text(), re.MULTILINE))
     assert used <= targets, sorted(used - targets)
+
+
+def test_limits_that_the_security_page_names_are_there():
+    rows = re.findall(r"`(\w+)/(\w+)\.py`: ((?:`\w+`(?:, )?)+)", (REPOSITORY / "SECURITY.md").read_text())
+    named = [(room, module, name) for room, module, names in rows for name in re.findall(r"`(\w+)`", names)]
+    assert len(named) > 20
+    for room, module, name in named:
+        assert isinstance(getattr(importlib.import_module(f"piegraph_cli.{room}.{module}"), name), int | float)

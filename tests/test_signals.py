@@ -162,6 +162,26 @@ def test_a_terminals_signal_does_not_reach_workers(tmp_path):
     assert stderr == "interrupted; the same command goes on from here\n"
 
 
+@pytest.mark.parametrize(("number", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_as_the_first_process_of_a_container(number, code, tmp_path):
+    """There a signal that nobody takes does nothing, and nobody else waits for what is left."""
+    alone = ["unshare", "--pid", "--fork", "--mount-proc"]
+    if os.geteuid() or subprocess.run([*alone, "true"], capture_output=True).returncode:
+        pytest.skip("to be the first process takes root")
+    (tmp_path / "job.py").write_text(WORKERS)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([*alone, sys.executable, "job.py"], cwd=tmp_path, **pipes)
+    assert process.stdout is not None
+    for _ in range(2):
+        process.stdout.readline()
+    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True).stdout
+    os.kill(int(listed), getattr(signal, number))
+    _, stderr = process.communicate(timeout=60)  # ends when the last one that holds the pipe is gone
+    assert process.returncode == code
+    assert stderr.endswith("the same command goes on from here\n")
+    assert len(stderr.splitlines()) == 1
+
+
 def test_nothing_is_held_back_afterwards():
     with signals.held_back():
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])

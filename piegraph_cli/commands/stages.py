@@ -1,5 +1,6 @@
 """The commands of the stages, all of them made from the stages' records."""
 
+import contextlib
 import logging
 import os
 import shutil
@@ -116,7 +117,8 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
             if entry.name not in own:
                 (folder / entry.name).symlink_to(entry)
             elif entry.name == ".known.json":  # what was read of files is known there, too, and may change there
-                shutil.copyfile(entry, folder / entry.name)
+                with contextlib.suppress(OSError):
+                    shutil.copyfile(entry, folder / entry.name)
         with logging_to(folder):
             report = _run(stage, open_run(folder, run.recipe), options, run.recipe)
             if out is None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.files import MAKE_ROOM, atomic_file
 from piegraph_cli.recording import layout
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.images import encode_depth
@@ -39,11 +40,14 @@ def unpack(bag: Path, out: Path) -> tuple[str, int, list[str]]:
                 _write(partial / film.camera.name / "color" / f"{k:06d}{suffix}", color)
                 _write(partial / film.camera.name / "depth" / f"{k:06d}.png", encode_depth(depth))
             layout.write_times(partial, film.camera, film.times)
+        if not (out / "cameras.json").exists():
+            with atomic_file(out / "cameras.json") as temporary:
+                temporary.write_text(text)
         partial.rename(sequence)
+    except OSError as error:
+        raise DataError(f"cannot be written: {error}", str(sequence), MAKE_ROOM) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    if not (out / "cameras.json").exists():
-        (out / "cameras.json").write_text(text)
     return sequence.name, max(len(film.times) for film in films), notes
 
 

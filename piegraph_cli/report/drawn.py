@@ -3,9 +3,11 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.report.pictures import Picture, kept_picture
 
@@ -36,7 +38,7 @@ class Drawn:
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             pass
         pictures = draw(f"p{name[:8]}")
-        with atomic_file(path) as temporary:
+        with suppress(DataError), atomic_file(path) as temporary:  # what cannot be kept is there all the same
             temporary.write_text(json.dumps({"stamp": stamp, "pictures": [picture.plain() for picture in pictures]}))
         return pictures
 

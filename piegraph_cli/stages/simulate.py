@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piegraph_cli.environments.params import RecordingParams, SequenceParams, SimulateParams
-from piegraph_cli.errors import UsageError
+from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.files import MAKE_ROOM
 from piegraph_cli.stages.steps import check_environments, make_environment
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Folder, Given, Instead, Told
@@ -140,21 +141,39 @@ def _record_sequence(folder: Path, params: RecordingParams, index: int, force: b
         return
     partial = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    arrays = _write_images(partial, params, sequence_seed(params, index))
-    write_artifact(
-        partial / "truth.h5",
-        "truth",
-        arrays,
-        stage="simulate",
-        stage_version=RECORDING_VERSION,
-        key=key,
-        params=settings,
-        inputs={},
-        quality="true values of a simulated recording: for scoring only",
-    )
+    try:
+        arrays = _write_images(partial, params, sequence_seed(params, index))
+        write_artifact(
+            partial / "truth.h5",
+            "truth",
+            arrays,
+            stage="simulate",
+            stage_version=RECORDING_VERSION,
+            key=key,
+            params=settings,
+            inputs={},
+            quality="true values of a simulated recording: for scoring only",
+        )
+        _put_in_place(partial, folder)
+    except OSError as error:
+        raise DataError(f"cannot be written: {error}", str(folder), MAKE_ROOM) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_in_place(whole: Path, folder: Path) -> None:
+    """Rename a folder that is whole; the one that was there stays until then."""
+    before = folder.with_name(f".{folder.name}.before")
+    shutil.rmtree(before, ignore_errors=True)
     if folder.exists():
-        shutil.rmtree(folder)
-    partial.rename(folder)
+        folder.rename(before)
+    try:
+        whole.rename(folder)
+    except OSError:
+        if before.exists():
+            before.rename(folder)
+        raise
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def _write_images(folder: Path, params: RecordingParams, seed: int) -> "dict[str, np.ndarray]":

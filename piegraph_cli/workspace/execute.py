@@ -134,7 +134,9 @@ def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
     units = [u for u in wanted if u not in left_out]
     todo = [u for u in units if options.force or not run.fresh(stage, u)]
     tried = set(todo)
-    outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in units if u not in tried]
+    cached = [u for u in units if u not in tried]
+    _drop_states(run, stage, cached)
+    outcomes = [Outcome(stage.name, u, "cached", 0.0, _quality(run, stage, u)) for u in cached]
     outcomes += _work_through(run, stage, todo, options) if todo else []
     _log_outcomes(outcomes)
     if todo:
@@ -149,6 +151,13 @@ def _run_stage(run: Run, stage: Stage, options: Options) -> list[Outcome]:
         error = LeftOut(f"left out, since it failed before: {why.splitlines()[0]}", str(unit))
         outcomes.append(Outcome(stage.name, unit, "failed", 0.0, error=error))
     return sorted(outcomes, key=lambda o: o.unit or "")
+
+
+def _drop_states(run: Run, stage: Stage, units: Sequence[Unit]) -> None:
+    """Remove states of units that are made: of processes that were killed between the artifact and the end."""
+    for unit in units:
+        with contextlib.suppress(OSError):
+            run.checkpoint(stage, unit).unlink(missing_ok=True)
 
 
 def _work_through(run: Run, stage: Stage, units: list[Unit], options: Options) -> list[Outcome]:

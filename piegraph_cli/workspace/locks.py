@@ -13,6 +13,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.files import MAKE_ROOM, NO_SPACE
 
 log = logging.getLogger("piegraph")
 
@@ -36,6 +37,8 @@ def held(file: Path) -> Iterator[bool]:
         log.info("waiting for another piegraph that works on %s", file)
         lock.acquire()
         waited = True
+    except OSError as error:
+        raise DataError(f"cannot be written: {error}", str(file), MAKE_ROOM) from None
     try:
         yield waited
     finally:
@@ -57,7 +60,9 @@ def _have_locks(folder: Path) -> bool:
         return True
     except OSError as error:
         if error.errno not in NO_LOCKS:
-            raise DataError(f"cannot be written: {error}", str(folder), "check permissions, or copy the run") from None
+            full = error.errno in NO_SPACE - {errno.EROFS}
+            hint = MAKE_ROOM if full else "check permissions, or copy the run"
+            raise DataError(f"cannot be written: {error}", str(folder), hint) from None
         if multiprocessing.current_process().name == "MainProcess":  # which says it for its workers
             log.warning(
                 "%s: this file system has no locks: let only one piegraph work on this run at a time", folder.parent

@@ -201,13 +201,21 @@ def _check_amount(found: Mapping[str, Found], size: int, where: str, hint: str) 
 def attribute(file: "h5py.File", name: str) -> Any:
     """A text or whole number among the root's attributes; None where it is not there or is anything else."""
     import h5py
+    import numpy as np
 
     try:
         held = h5py.h5a.open(file.id, name.encode())
     except KeyError:
         return None
-    kind = held.get_type().get_class()
-    single = held.get_space().get_simple_extent_type() == h5py.h5s.SCALAR
-    if not single or kind not in (h5py.h5t.STRING, h5py.h5t.INTEGER) or held.get_storage_size() > LONGEST_TEXT:
+    kind = held.get_type()
+    if held.shape != () or not isinstance(kind, h5py.h5t.TypeStringID | h5py.h5t.TypeIntegerID):
         return None
-    return file.attrs[name]
+    if held.get_storage_size() > LONGEST_TEXT:
+        return None
+    if isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str():
+        return file.attrs[name]
+    # as h5py does it, which looks at the type again and makes two arrays more: headers are most of what is read of a run
+    text = isinstance(kind, h5py.h5t.TypeStringID)
+    value = np.zeros((), h5py.string_dtype() if text else np.int64)
+    held.read(value)
+    return value[()].decode("utf-8", "surrogateescape") if text else value[()]

@@ -1,14 +1,16 @@
 """What is attacked: artifacts of every kind, files that others write, recordings in every layout, recipes, settings, JSON."""
 
+import functools
 import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
+from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import CHECKED_FROM, read_artifact
@@ -18,6 +20,9 @@ from tests.attack.hostile import HOSTILE, make_hostile
 from tests.attack.mutators import mutate_array, mutate_bytes, mutate_file_of, mutate_json_text, mutate_text
 from tests.attack.samples import write_sample
 from tests.hdf5 import edited, reseal, unsealed
+
+if TYPE_CHECKING:
+    from piegraph_cli.service.service import Service
 
 
 def _of_bytes(path: Path, rng: np.random.Generator) -> str:
@@ -309,9 +314,16 @@ def _make_json(kind: str, folder: Path) -> Path:
     return _write(f"{kind}.json", json.dumps(JSONS[kind]), folder)
 
 
+CLOUD = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (60, 3)).round(4).tolist()
 JSONS: dict[str, Any] = {
     "failures": {"track/s": {"key": "k", "message": "why"}},
-    "index": {"overlays": {"a": ["b", "c"]}},
+    "plan": {"state": CLOUD, "goal_pose": [0.1, 0, 0.5], "candidates": 2, "settings": {"samples": 8, "horizon": 1}},
+    "predict": {
+        "state": CLOUD,
+        "rest": CLOUD,
+        "strokes": [{"start": [-0.2, 0.0], "end": [-0.02, 0.0], "mode": "push"}],
+        "encoding": "base64",
+    },
 }
 
 
@@ -322,6 +334,27 @@ def _read_cameras(path: Path) -> Any:
         [getattr(c, name) for name in ("name", "width", "height", "K", "distortion")]
         for c in read_cameras(path.parent / "s")
     ]
+
+
+@functools.cache
+def _service() -> "Service":
+    """One that has nothing to load, and no cameras."""
+    from piegraph_cli.planning.model import Model
+    from piegraph_cli.planning.params import PlanParams
+    from piegraph_cli.service.service import Service
+
+    return Service(Model("static", None, PlanParams(samples=8, cem_iterations=1)))
+
+
+def _read_request(path: Path) -> Any:
+    """As `piegraph serve` takes it: what it calls a bug is one."""
+    reply = _service().reply(path.read_bytes(), path.stem)
+    told = json.loads(reply.text)
+    if reply.exit_code == PiegraphError.exit_code:
+        raise RuntimeError(told["error"])
+    if reply.exit_code:
+        raise DataError(str(told["error"]))
+    return {name: value for name, value in told["result"].items() if name != "seconds"}
 
 
 def _read_failures(path: Path) -> Any:
@@ -340,6 +373,7 @@ def texts() -> list[Attack]:
         Attack("settings", partial(_write, "settings.txt", SETTINGS), _of_text, _read_settings),
         Attack("cameras.json", partial(_make_json, "cameras"), _of_text, _read_cameras),
         Attack("failures.json", partial(_make_json, "failures"), _of_text, _read_failures),
+        *(Attack(f"request {n}", partial(_make_json, n), _of_text, _read_request) for n in ("plan", "predict")),
         Attack("splits", partial(_write, "split.csv", "a,train\nb,validation\nc,test\n"), _of_text, _read_split),
     ]
 

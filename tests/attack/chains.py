@@ -13,8 +13,8 @@ from tests.cli import SAMPLE
 from tests.conftest import TINY
 
 RECORDED = '[ingest]\nrecording = "recording"\n\n[hands]\n\n[segment]\n\n[fuse]\n\n[track]\n'
-FIRST, FRAMES = 8, 10
-"""Of the sample's frames: those in which hand and object are found."""
+FIRST, FRAMES, CAMERAS = 8, 6, 2
+"""Of the sample's frames and cameras: those in which hand and object are found."""
 DIFFERS = {"seconds"}
 """Datasets that say how long something took."""
 
@@ -35,11 +35,11 @@ def simulated(folder: Path) -> None:
 
 
 def recorded(folder: Path) -> None:
-    """A recording of two sequences of ten frames: ingest, hands, segment, fuse, track and score."""
+    """A recording of two sequences of six frames of two cameras: ingest, hands, segment, fuse, track and score."""
     (folder / "recipe.toml").write_text(RECORDED)
     for sequence in sorted(SAMPLE.glob("sequence_*"))[:2]:
         to = folder / "recording" / sequence.name
-        for camera in sorted(path for path in sequence.iterdir() if path.is_dir()):
+        for camera in sorted(path for path in sequence.iterdir() if path.is_dir())[:CAMERAS]:
             for kind in ("color", "depth"):
                 (to / camera.name / kind).mkdir(parents=True)
                 for k, file in enumerate(sorted((camera / kind).iterdir())[FIRST : FIRST + FRAMES]):
@@ -47,7 +47,9 @@ def recorded(folder: Path) -> None:
             times = (camera / "timestamps.txt").read_text().splitlines()[FIRST : FIRST + FRAMES]
             (to / camera.name / "timestamps.txt").write_text("\n".join(times) + "\n")
         shutil.copy(sequence / "truth.h5", to)
-    shutil.copy(SAMPLE / "cameras.json", folder / "recording")
+    file = json.loads((SAMPLE / "cameras.json").read_text())
+    file["cameras"] = dict(sorted(file["cameras"].items())[:CAMERAS])
+    (folder / "recording" / "cameras.json").write_text(json.dumps(file))
 
 
 SIMULATED = Chain("simulated", ("run", "recipe.toml", "--run", "run"), simulated)

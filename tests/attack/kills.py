@@ -7,6 +7,7 @@ process, which has imported PyTorch; one in ten is a program of its own, so that
 """
 
 import argparse
+import faulthandler
 import gc
 import os
 import shutil
@@ -18,6 +19,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +31,7 @@ from tests.forks import become, import_all
 
 MARK = "PIEGRAPH_ATTACK"
 PATIENCE = 10.0
-"""Seconds in which all must have ended."""
+"""Seconds in which all must have ended; those in which a process was ready and other work had its core do not count."""
 SIGNALS = {"SIGKILL": -9, "SIGTERM": 143, "SIGINT": 130}
 SHARES = (3, 1, 1)
 """How often each comes: 300, 100 and 100."""
@@ -37,6 +39,8 @@ OWN = 0.1
 """Share of commands that are programs of their own."""
 SHORT, LONG = 4.0, 0.2
 """Most stops come within so many seconds; so large a share within half of what the whole takes, or nothing would be done."""
+WHEN: dict[int | None, str] = {None: "before the program began, or without end", 0: "when all was done"}
+"""What does not count as a stop, by what `stop` says."""
 BOOTING = ("Fatal Python error", "<frozen importlib", "<frozen runpy", "<frozen site", "KeyboardInterrupt")
 
 
@@ -69,14 +73,14 @@ class Command:
         else:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
 
-    def ended(self, seconds: float) -> int | None:
-        """The exit code, or None where it has not ended in time."""
-        end = time.monotonic() + seconds
+    def ended(self, seconds: float, more: Callable[[], float] = float) -> int | None:
+        """The exit code, or None where it has not ended in time, and so many seconds `more`."""
+        begin = time.monotonic()
         while True:
             found, status = os.waitpid(self.pid, os.WNOHANG)
             if found:
                 return os.waitstatus_to_exitcode(status)
-            if time.monotonic() > end:
+            if time.monotonic() - begin > seconds + more():
                 return None
             time.sleep(0.02)
 
@@ -99,12 +103,15 @@ class Command:
 
 def stop(command: Command, name: str, whole_group: bool, complete: Callable[[], bool]) -> tuple[int | None, list[str]]:
     """Stop a command; its exit code, and what is wrong about how it ended; `complete` tells whether all was made."""
-    begin = time.monotonic()
+    begin, before, apart = time.monotonic(), waited([command.pid]), waited(command.left())
     (os.killpg if whole_group else os.kill)(command.pid, getattr(signal, name))
-    code = command.ended(PATIENCE)
-    while (left := command.left()) and time.monotonic() - begin < PATIENCE:
+    code = command.ended(PATIENCE, lambda: waited([command.pid]) - before)
+    while (left := command.left()) and time.monotonic() - begin < PATIENCE + waited(left) - apart:
         time.sleep(0.1)
     wrong = [f"goes on after {PATIENCE} s: {left}"] if left or code is None else []
+    if code is None and not command.own:
+        os.kill(command.pid, signal.SIGUSR2)  # it says where it is
+        time.sleep(1)
     for pid in {*left, *([command.pid] if code is None else [])}:
         os.kill(pid, signal.SIGKILL)
     if code is None:
@@ -113,11 +120,20 @@ def stop(command: Command, name: str, whole_group: bool, complete: Callable[[], 
     if early(command, code, text):
         return None, wrong
     done = code == -getattr(signal, name) and complete()  # Python itself was ending
-    if code not in (SIGNALS[name], 0) and not done:
-        wrong.append(f"exit code {code}: {text[-500:]}")
+    if code != SIGNALS[name] and not done and not (code == 0 and complete()):
+        wrong.append(f"exit code {code}: {text[-5000:]}")
     if "Traceback" in text or "leaked" in text or "bug in" in text:
         wrong.append(text[-1500:])
     return code, wrong
+
+
+def waited(processes: list[int]) -> float:
+    """Seconds that one of the threads of these processes, the one with most of them, has waited for a core in its life."""
+    found = [0.0]
+    for task in (task for pid in processes for task in Path(f"/proc/{pid}/task").glob("*/schedstat")):
+        with suppress(OSError, IndexError):
+            found.append(int(task.read_text().split()[1]) / 1e9)
+    return max(found)
 
 
 def early(command: Command, code: int | None, text: str) -> bool:
@@ -138,14 +154,15 @@ def fresh(folder: Path, chain: Chain) -> Path:
 def begin() -> None:
     """What a forked program does first: only from then on signals reach it, as those that come before reach Python alone."""
     signals.obey()
+    faulthandler.register(signal.SIGUSR2)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
 
 
 class Campaign:
     """What was done and found."""
 
-    def __init__(self, work: Path, seed: int, until: float):
-        self.work, self.until, self.rng = work, until, np.random.default_rng(seed)
+    def __init__(self, work: Path, seed: int):
+        self.work, self.until, self.rng = work, 0.0, np.random.default_rng(seed)
         self.stops: Counter = Counter()
         self.stages: Counter = Counter()
         self.runs: Counter = Counter()
@@ -177,7 +194,7 @@ class Campaign:
             group = name == "SIGINT" and bool(self.rng.random() < 0.5)
             code, wrong = stop(command, name, group, lambda: not different(folder / chain.run, expected))
             wrong += broken(folder / chain.run)
-            self.stops[f"{name} --jobs {jobs}" if code is not None else f"{name} before the program began"] += 1
+            self.stops[f"{name} {WHEN.get(code, f'--jobs {jobs}')}"] += 1
             self.stages[where] += 1
             self.faults += [f"{chain.name}, {name}, --jobs {jobs}, {where}: {text}" for text in wrong]
             for text in wrong:
@@ -212,12 +229,13 @@ def main() -> int:
     gc.collect()
     gc.freeze()
     work = Path(tempfile.mkdtemp(prefix="kills"))  # no context: what is forked would leave it, too
-    campaign = Campaign(work, given.seed, time.monotonic() + given.seconds)
+    campaign = Campaign(work, given.seed)
     chains: list[Chain] = [SIMULATED, OF_RECORDING]
     references = {chain.name: campaign.reference(chain) for chain in chains}
     chains.append(trials_of(references[SIMULATED.name][0]))
     references["trials"] = campaign.reference(chains[-1])
     print({name: f"{seconds:.1f} s" for name, (_, seconds) in references.items()}, flush=True)
+    campaign.until = time.monotonic() + given.seconds
     while time.monotonic() < campaign.until:
         for chain in chains:
             expected, seconds = references[chain.name]
@@ -229,7 +247,8 @@ def main() -> int:
 
 
 def _tell(campaign: Campaign) -> None:
-    print(f"{sum(campaign.stops.values())} stops: {dict(sorted(campaign.stops.items()))}")
+    kinds = {name: sum(n for how, n in campaign.stops.items() if how.startswith(f"{name} --jobs")) for name in SIGNALS}
+    print(f"{sum(kinds.values())} stops: {kinds}; with others: {dict(sorted(campaign.stops.items()))}")
     print(f"  while this was made: {dict(campaign.stages.most_common())}")
     print(f"  finished: {dict(campaign.runs)}; {len(campaign.faults)} faults", flush=True)
 

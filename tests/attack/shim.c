@@ -1,9 +1,11 @@
-/* What a file system may answer, for files below a folder: preloaded, it lets calls fail that would write, or lock.
+/* What a machine may answer: preloaded, it lets calls fail that would write, or lock, files below a folder; and sets the clock.
 
    SHIM_ROOT   the folder
-   SHIM_CALLS  "write": whatever needs space (open that creates, write, mkdir, truncate, sync); "lock": flock and fcntl locks
+   SHIM_CALLS  "write": whatever needs space (open that creates, write, mkdir, symlink, rename, truncate, sync); "lock": flock
    SHIM_ERRNO  how they fail
    SHIM_AT     the first of these calls, from 1, that fails, with all after it; counted in each process
+   SHIM_MANY   so many fail and no more, as where somebody makes room meanwhile
+   SHIM_CLOCK  seconds by which the clock is ahead, or behind
    SHIM_LOG    a file, outside the folder, to which each of these calls is noted: its number, its name and the path
 */
 #define _GNU_SOURCE
@@ -18,7 +20,9 @@
 #include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
+#include <sys/time.h>
 #include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
 static int count;
@@ -26,6 +30,7 @@ static int count;
 /* Whether a call on this path is to fail; it is counted and noted. */
 static int fails(const char *kind, const char *name, const char *path) {
     const char *root = getenv("SHIM_ROOT"), *calls = getenv("SHIM_CALLS"), *at = getenv("SHIM_AT"), *log = getenv("SHIM_LOG");
+    const char *many = getenv("SHIM_MANY");
     if (!root || !calls || strcmp(calls, kind) || strncmp(path, root, strlen(root))) return 0;
     int number = __atomic_add_fetch(&count, 1, __ATOMIC_SEQ_CST);
     if (log) {
@@ -37,7 +42,7 @@ static int fails(const char *kind, const char *name, const char *path) {
             syscall(SYS_close, file);
         }
     }
-    if (!at || number < atoi(at)) return 0;
+    if (!at || number < atoi(at) || (many && number >= atoi(at) + atoi(many))) return 0;
     errno = atoi(getenv("SHIM_ERRNO"));
     return 1;
 }
@@ -108,6 +113,11 @@ ssize_t pwrite64(int file, const void *data, size_t size, off64_t at) {
     return REAL(ssize_t, pwrite64, int, const void *, size_t, off64_t)(file, data, size, at);
 }
 
+ssize_t copy_file_range(int in, off64_t *from, int out, off64_t *to, size_t size, unsigned flags) {
+    if (fails_of("write", "write", out)) return -1;
+    return REAL(ssize_t, copy_file_range, int, off64_t *, int, off64_t *, size_t, unsigned)(in, from, out, to, size, flags);
+}
+
 ssize_t sendfile64(int out, int in, off64_t *at, size_t size) {
     if (fails_of("write", "write", out)) return -1;
     return REAL(ssize_t, sendfile64, int, int, off64_t *, size_t)(out, in, at, size);
@@ -118,8 +128,23 @@ int mkdir(const char *path, mode_t mode) {
     return REAL(int, mkdir, const char *, mode_t)(path, mode);
 }
 
+int symlink(const char *target, const char *path) {
+    if (fails_at("write", "symlink", AT_FDCWD, path)) return -1;
+    return REAL(int, symlink, const char *, const char *)(target, path);
+}
+
+int rename(const char *from, const char *to) {
+    if (fails_at("write", "rename", AT_FDCWD, to)) return -1;
+    return REAL(int, rename, const char *, const char *)(from, to);
+}
+
+int renameat(int one, const char *from, int other, const char *to) {
+    if (fails_at("write", "rename", other, to)) return -1;
+    return REAL(int, renameat, int, const char *, int, const char *)(one, from, other, to);
+}
+
 int ftruncate64(int file, off64_t size) {
-    if (fails_of("write", "truncate", file)) return -1;
+    if (size && fails_of("write", "truncate", file)) return -1;
     return REAL(int, ftruncate64, int, off64_t)(file, size);
 }
 
@@ -128,7 +153,35 @@ int fsync(int file) {
     return REAL(int, fsync, int)(file);
 }
 
+int fdatasync(int file) {
+    if (fails_of("write", "sync", file)) return -1;
+    return REAL(int, fdatasync, int)(file);
+}
+
 int flock(int file, int how) {
     if (how != LOCK_UN && fails_of("lock", "flock", file)) return -1;
     return REAL(int, flock, int, int)(file, how);
+}
+
+static long ahead(void) {
+    const char *seconds = getenv("SHIM_CLOCK");
+    return seconds ? atol(seconds) : 0;
+}
+
+int clock_gettime(clockid_t clock, struct timespec *now) {
+    int failed = REAL(int, clock_gettime, clockid_t, struct timespec *)(clock, now);
+    if (!failed && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE)) now->tv_sec += ahead();
+    return failed;
+}
+
+int gettimeofday(struct timeval *now, void *zone) {
+    int failed = REAL(int, gettimeofday, struct timeval *, void *)(now, zone);
+    if (!failed) now->tv_sec += ahead();
+    return failed;
+}
+
+time_t time(time_t *place) {
+    time_t now = REAL(time_t, time, time_t *)(NULL) + ahead();
+    if (place) *place = now;
+    return now;
 }

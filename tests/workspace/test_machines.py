@@ -18,23 +18,20 @@ from piegraph_cli import process
 from piegraph_cli.errors import MissingError
 from piegraph_cli.workspace import parallel
 from tests.attack.chains import different
-from tests.cli import PROGRAM, REPOSITORY, piegraph
-
-SHIM = REPOSITORY / "tests" / "attack" / "shim.c"
+from tests.attack.shim import build, environment
+from tests.cli import PROGRAM, piegraph
+from tests.mounts import Mounts
 
 
 @pytest.fixture(scope="module")
 def shim(tmp_path_factory):
-    """Settings of the environment, from what is to fail."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None or sys.platform != "linux":
+    """Settings of the environment, from what is to be otherwise."""
+    library = build(tmp_path_factory.mktemp("shim"))
+    if library is None:
         pytest.skip("no C compiler to build what lets calls fail")
-    library = tmp_path_factory.mktemp("shim") / "shim.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, SHIM, "-ldl"], check=True)
 
-    def settings(root: Path, calls: str, number: int, at: int) -> dict[str, str]:
-        given = {"ROOT": root, "CALLS": calls, "ERRNO": number, "AT": at}
-        return os.environ | {f"SHIM_{k}": str(v) for k, v in given.items()} | {"LD_PRELOAD": str(library)}
+    def settings(root: Path, calls: str = "none", **given: object) -> dict[str, str]:
+        return environment(library, root, calls, **given)
 
     return settings
 
@@ -44,52 +41,73 @@ def run(tiny_run, tmp_path):
     return Path(shutil.copytree(tiny_run, tmp_path / "run"))
 
 
-def program(*arguments: object, **how) -> subprocess.CompletedProcess:
-    return subprocess.run([*PROGRAM, *map(str, arguments)], capture_output=True, text=True, **how)
-
-
 def test_without_locks_one_word_whatever_the_workers(run, shim):
-    done = program("evaluate", "--run", run, "--force", "--jobs", 2, env=shim(run, "lock", errno.ENOSYS, 1))
-    assert done.returncode == 0, done.stderr
+    env = shim(run, "lock", errno=errno.ENOSYS, at=1)
+    done = piegraph("evaluate", "--run", run, "--force", "--jobs", 2, env=env)
     assert done.stderr.count("has no locks") == 1
 
 
-@pytest.mark.parametrize(("number", "at"), [(errno.ENOSPC, 1), (errno.ENOSPC, 9), (errno.EDQUOT, 16)])
-def test_a_disk_that_is_full_from_some_call_on(run, tiny_run, shim, number, at):
-    (run / "plan.h5").unlink()
-    before = {path: path.stat().st_mtime_ns for path in run.rglob("*.h5")}
-    full = program("plan", "--run", run, env=shim(run, "write", number, at))
-    assert full.returncode in (0, 3), full.stderr
-    assert "Traceback" not in full.stderr
-    assert "bug" not in full.stderr
-    assert full.returncode == 0 or f"{run.name}/" in full.stderr
-    assert not list(run.rglob("*.tmp"))
-    assert {path: path.stat().st_mtime_ns for path in before} == before
-    program("plan", "--run", run)
-    assert not different(run, tiny_run)
+@pytest.fixture
+def mounts(tmp_path):
+    """From a script that mounts something: commands see it, and it is gone after the test."""
+    made: list[Mounts] = []
+
+    def make(script: str) -> Mounts:
+        made.append(Mounts(script, tmp_path, tmp_path))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
 
 
-def test_a_run_that_cannot_be_written_is_read_all_the_same(run, tmp_path):
-    if os.geteuid() or subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
-        pytest.skip("to mount a folder read-only takes root")
+def test_a_run_that_cannot_be_written_is_read_all_the_same(run, mounts, tmp_path):
     (run / "checkpoints").mkdir(exist_ok=True)
-    script = 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"'
-
-    def read_only(*words: object) -> subprocess.CompletedProcess:
-        command = ["unshare", "-m", "sh", "-c", script, str(run), *PROGRAM, *map(str, words), "--run", str(run)]
-        return subprocess.run(command, capture_output=True, text=True)
-
+    read_only = mounts("mount --bind run run && mount -o remount,ro,bind run")
     plan, page = tmp_path / "plan.h5", tmp_path / "page"
     for words in (("status",), ("evaluate",), ("plan", "--out", plan), ("report", "--out", page)):
-        done = read_only(*words)
-        assert done.returncode == 0, done.stderr
+        read_only.piegraph(*words, "--run", run)
     assert plan.exists()
     assert (page / "index.html").exists()
     for words in (("report",), ("train", "--force"), ("dataset", "--force")):
-        done = read_only(*words)
-        assert done.returncode == 3, done.stderr
+        done = read_only.piegraph(*words, "--run", run, check=3)
         assert "cannot be written" in done.stderr
         assert "Traceback" not in done.stderr
+
+
+def test_without_shared_memory_home_and_cores(run, tiny_run, mounts):
+    """As in a bare container: nothing is lost but time."""
+    bare = mounts("mount -t tmpfs -o ro none /dev/shm")
+    homeless = {k: v for k, v in os.environ.items() if not k.startswith("XDG_")} | {"HOME": "/proc/none"}
+    core = [min(os.sched_getaffinity(0))]
+    done = bare.piegraph("evaluate", "--run", run, "--force", "--jobs", 8, env=homeless, cores=core)
+    assert done.stderr.count("one process in place of") == 1
+    assert "Traceback" not in done.stderr
+    assert not different(run, tiny_run)
+
+
+def test_more_jobs_than_cores(run, tiny_run):
+    done = piegraph("evaluate", "--run", run, "--force", "--jobs", 4, cores=[min(os.sched_getaffinity(0))])
+    assert not done.stderr
+    assert not different(run, tiny_run)
+
+
+def test_a_clock_that_is_set_back(run, tiny_run, shim):
+    """Files are of the future then: what is fresh stays so, what changes is seen, what is made is the same."""
+    days = 30
+    wrong = shim(run, clock=-days * 86_400)
+    assert "all is fresh" in piegraph("run", "--run", run, "--dry", env=wrong).stdout
+    piegraph("evaluate", "--run", run, "--force", env=wrong)
+    metrics = next((run / "metrics").iterdir())
+    data = bytearray(metrics.read_bytes())
+    data[-1] ^= 1
+    metrics.write_bytes(data)
+    os.utime(metrics, ns=(metrics.stat().st_atime_ns, metrics.stat().st_mtime_ns + days * 86_400 * 10**9))
+    for now in (wrong, None):
+        assert "would make" in piegraph("run", "--run", run, "--dry", env=now).stdout
+    piegraph("run", "--run", run, env=wrong)
+    assert "all is fresh" in piegraph("run", "--run", run, "--dry").stdout
+    assert not different(run, tiny_run)
 
 
 def test_without_shared_memory_one_process_does_it_and_says_so(monkeypatch, caplog):
@@ -120,6 +138,29 @@ def test_what_will_not_fit_is_said(monkeypatch, free, limit, jobs, said):
     assert (said in found) if said else not found
 
 
+@pytest.mark.parametrize(
+    ("own", "at", "limit", "used", "idle"),
+    [
+        ("0::/", "", "memory.max", "memory.current", "inactive_file"),
+        ("0::/slurm/job_7", "slurm/job_7", "memory.max", "memory.current", "inactive_file"),
+        ("3:cpu:/\n0::/slurm/job_7", "slurm", "memory.max", "memory.current", "inactive_file"),
+        ("0::/of/another/machine", "", "memory.max", "memory.current", "inactive_file"),
+        ("9:memory:/a\n0::/", "memory/a", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ],
+)
+def test_what_containers_and_clusters_leave_of_the_memory(tmp_path, own, at, limit, used, idle):
+    """Where the limit is its group's own or that of one around it; what was read of files is given up when it is needed."""
+    group = tmp_path / "groups" / at
+    (tmp_path / "groups" / "slurm" / "job_7").mkdir(parents=True)
+    group.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "own").write_text(own)
+    (tmp_path / "groups" / "memory.max").write_text("max")
+    for name, text in ((limit, "2000"), (used, "1500"), ("memory.stat", f"cache 9\n{idle} 100\n")):
+        (group / name).write_text(text)
+    assert list(process._left_by_groups(tmp_path / "own", tmp_path / "groups")) == [600.0]
+    assert not list(process._left_by_groups(tmp_path / "none", tmp_path / "groups"))
+
+
 def test_too_few_addresses_are_refused_before_anything_is_loaded(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 30, 1 << 30))
     with pytest.raises(MissingError, match=r"may take 1\.1"):
@@ -127,7 +168,8 @@ def test_too_few_addresses_are_refused_before_anything_is_loaded(monkeypatch):
 
 
 def test_too_little_memory_is_no_bug(run):
-    done = program("dataset", "--run", run, "--force", preexec_fn=little_memory)
+    command = [*PROGRAM, "dataset", "--run", str(run), "--force"]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=little_memory)
     assert done.returncode == 4, done.stderr
     assert "ulimit -v" in done.stderr
     assert "not enough memory" in done.stderr
@@ -153,6 +195,18 @@ def test_two_trainings_with_different_settings_at_once_say_so(run):
     assert [process.returncode for process in both] == [0, 0]
     assert "another piegraph has just made model otherwise (settings changed: steps)" in said
     assert "another piegraph has changed train.piegraph.steps meanwhile" in said
+
+
+def test_two_at_once_on_one_stage_and_the_next(run, tiny_run):
+    shutil.rmtree(run / "metrics")
+    (run / "plan.h5").unlink()
+    commands = [[*PROGRAM, word, "--run", str(run)] for word in ("run", "evaluate")]
+    both = [
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for command in commands
+    ]
+    said = [process.communicate() for process in both]
+    assert [process.returncode for process in both] == [0, 0], said
+    assert not different(run, tiny_run)
 
 
 def test_settings_of_another_stage_are_kept_beside_those_of_this_one(run):

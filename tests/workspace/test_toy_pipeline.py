@@ -297,6 +297,14 @@ def test_a_finished_stage_leaves_no_checkpoint(made):
     assert not list(made.rglob("*.tmp"))
 
 
+def test_the_state_of_what_is_made_goes(made):
+    """Its process was killed after it had written the artifact."""
+    state = Checkpoint(made / "checkpoints" / "pile.None.h5", PILE, str(open_toy(made).key(PILE, None)))
+    state.save({"done": np.array(1)})
+    run_chain(open_toy(made), None, Options())
+    assert not state.path.exists()
+
+
 def test_leftovers_of_a_killed_process_go_when_the_artifact_is_made(made):
     left = [made / "stones" / ".s0.h5.77.tmp", made / "checkpoints" / ".gather.s0.h5.77.tmp"]
     for path in left:

@@ -4,41 +4,43 @@ With no stroke yet the object's particles at rest are enough.
 """
 
 import copy
-import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import EGNN
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, REACH, simulated
-from piegraph_cli.dynamics.family.drawn import TRAITS
-from piegraph_cli.dynamics.params import EGNNParams, RigidParams
+from piegraph_cli.dynamics.own import Own
+from piegraph_cli.dynamics.own_block import check_block, own_block
+from piegraph_cli.dynamics.own_rope import check_rope, own_rope
+from piegraph_cli.dynamics.params import EGNNParams
 from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss
-from piegraph_cli.dynamics.rigid_body import MOVED, WIDE, RigidBody, body_frame, planar_residuals
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError
-from piegraph_cli.physics.rigid import moved_in_plane
 
-SIMULATED = 6000
-"""Strokes of the object that are simulated."""
-KNOWN = (0.25, 0.1, 0.15)
-"""Deviations of the logarithms of friction, turning length and reach in these, where there are strokes to fit them to."""
-UNKNOWN = (FRICTION[1], PRESSURE[1], REACH[1])
-"""The same without any stroke."""
 REAL = 3
 """Examples of a batch that are real, where there are any."""
-SHAPES = 4
-"""Sequences whose particles are used in simulated strokes, at most."""
 HELD, ENOUGH = 4, 20
 """Every so many strokes one is left out to choose the number of steps by, where there are enough: two tell nothing."""
 GAIN = 0.1
 """Share by which fewer steps have to be better than all, on strokes that were left out: a few strokes tell no less."""
-BENT, SHARE = 0.005, 0.2
-"""Metres from a rigid motion, and share of the motion, above which a thing bends."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is done with a recording for a prior of one family."""
+
+    check: Callable[[Sequences], None]
+    """Raises `DataError` for another kind of object."""
+    own: Callable[[Sequences, int, int], Own]
+    """The object, from its strokes, neighbours in the graph and a seed."""
+
+
+KINDS = {"blocks": Kind(check_block, own_block), "ropes": Kind(check_rope, own_rope)}
+"""By family."""
 
 
 class Tuning:
@@ -77,25 +79,17 @@ class Tuning:
         return distance_loss(found, chunk.after[chosen], before)
 
 
-def check_block(data: Sequences) -> None:
-    """Refuse a recording of something else than a block. Raises `DataError` that says by what it is told."""
-    hint = "train without --from: the prior is for blocks"
-    if data.picks:
-        raise DataError("strokes that hold the object; the prior is for blocks that are pushed", hint=hint)
-    flat = data.rest[0][:, :2] - data.rest[0][:, :2].mean(0)
-    width = float(np.linalg.svd(flat, compute_uv=False)[-1] / math.sqrt(len(flat)))
-    if width < WIDE:
-        raise DataError(f"as narrow as a rope ({width * 1000:.0f} mm): the prior is for blocks", hint=hint)
-    before, after = (data.positions[k][..., :2] for k in data.strokes.T)
-    motion = np.linalg.norm(after - before, axis=-1).mean(1)
-    moved = motion > MOVED
-    if not moved.any():
-        return
-    bent = float(np.median(planar_residuals(before[moved], after[moved])))
-    if bent > max(BENT, SHARE * float(np.median(motion[moved]))):
-        raise DataError(
-            f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends; the prior is for blocks", hint=hint
-        )
+def family_of(data: Sequences) -> str:
+    """The family of priors that a recording's object belongs to. Raises `DataError` for one that belongs to none."""
+    reasons = []
+    for family, kind in KINDS.items():
+        try:
+            kind.check(data)
+        except DataError as error:
+            reasons.append(error.message)
+        else:
+            return family
+    raise DataError("no prior fits this object: " + "; ".join(dict.fromkeys(reasons)), hint="train without --from")
 
 
 def unseen(data: Sequences) -> Sequences:
@@ -103,54 +97,6 @@ def unseen(data: Sequences) -> Sequences:
     none = np.zeros((0, 2), np.int64)
     empty = none[:, 0]
     return replace(data, strokes=none, mode=data.mode[:0], owner=empty, pairs=none, pair_stroke=empty)
-
-
-def fitted_body(data: Sequences) -> RigidBody:
-    """Outline and numbers of a block from its strokes; without any the numbers stay as before strokes are seen."""
-    body = RigidBody(RigidParams(fit=len(data.strokes) > 0, friction=FRICTION[0], reach=REACH[0]))
-    if not len(data.strokes):  # one that nothing comes of
-        at_rest, one = data.rest[:1].repeat(2, 0), np.array([[0, 1]])
-        hand, zero = np.array([[1.0, 0.0], [1.1, 0.0]], np.float32), np.zeros(1, np.int64)
-        data = replace(data, positions=at_rest, hand=hand, strokes=one, mode=zero, owner=zero)
-    body.fit(data)
-    return body
-
-
-def own_strokes(body: RigidBody, data: Sequences, neighbors: int, seed: int) -> Chunk:
-    """Strokes of a body simulated, with the particles that its sequences have."""
-    rng = np.random.default_rng([seed, len(data.strokes)])
-    chosen = np.unique(np.linspace(0, len(data.rest) - 1, SHAPES).astype(int))
-    like = _parts(data, float(body.numbers[2])) if len(data.strokes) else None
-    drawn = []
-    for rest in data.rest[chosen]:
-        pose = body_frame(rest, body.shape.numpy())
-        own = moved_in_plane(rest[:, :2] - pose[:2], np.array([0.0, 0.0, -pose[2]]))
-        spread = KNOWN if len(data.strokes) else UNKNOWN
-        particles = np.concatenate([own, rest[:, 2:]], 1)
-        drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen), like))
-    return Chunk.of(drawn, neighbors)
-
-
-def _parts(data: Sequences, reach: float) -> np.ndarray:
-    """How far the strokes [S, 2] (m) go before they come near the object, and from there on."""
-    strokes, before = data.whole(), torch.as_tensor(data.positions[data.strokes[:, 0]])
-    relative = ((before[..., :2] - strokes.start[:, None]) @ strokes.rotation).double()
-    spacing = float(np.median(cKDTree(data.rest[0]).query(data.rest[0], k=2)[0][:, 1]))
-    near = reach + spacing / 2
-    ahead, aside = relative.unbind(-1)
-    touch = torch.where(aside.abs() < near, ahead - (near**2 - aside**2).clamp_min(0).sqrt(), torch.inf).amin(1)
-    free = torch.minimum(touch.clamp_min(0), strokes.length)
-    return torch.stack([free, strokes.length - free], 1).numpy()
-
-
-def traits_of(body: RigidBody) -> Tensor:
-    """A body's traits [TRAITS] as the prior of blocks was told them."""
-    friction, c, *_ = body.numbers.tolist()
-    gyration = float(body.shape.square().sum(1).mean().sqrt())
-    traits = torch.zeros(TRAITS)
-    for k, (number, (middle, spread)) in enumerate([(friction, FRICTION), (c / gyration, PRESSURE)]):
-        traits[k] = min(max(math.log(number / middle) / spread, -2.0), 2.0)
-    return traits  # how near the pusher comes is measured from particles here: REACH stays in the middle
 
 
 def told(prior: Prior, traits: Tensor) -> EGNN:
@@ -168,7 +114,8 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
         return settings.steps
     held = np.random.default_rng(seed).permutation(count) % HELD == 0
     kept, left = (_some(data, chosen) for chosen in (~held, held))
-    trainer = start_tuning(prior, kept, left, settings, seed)
+    own = KINDS[prior.family].own(kept, settings.neighbors, seed)
+    trainer = start_tuning(prior, own, kept, left, settings, seed)
     every = max(1, settings.steps // 10)
     while not trainer.finished:
         trainer.step()
@@ -179,13 +126,13 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
     return best if losses[best] < (1 - GAIN) * losses[trainer.done] else settings.steps
 
 
-def start_tuning(prior: Prior, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int) -> Trainer:
-    """The training of a prior on a recording, about to begin. Raises `DataError` for things that the prior is not for."""
-    body = fitted_body(data)
-    network = told(prior, traits_of(body))
-    chunk = own_strokes(body, data, settings.neighbors, seed)
-    validation = Tuning(held_out, chunk, settings.neighbors) if held_out is not None and len(held_out.pairs) else None
-    return Trainer(network, Tuning(data, chunk, settings.neighbors), validation, settings, seed)
+def start_tuning(
+    prior: Prior, own: Own, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int
+) -> Trainer:
+    """The training of a prior on a recording of one object, about to begin."""
+    chunk, neighbors = own.chunk, settings.neighbors
+    validation = Tuning(held_out, chunk, neighbors) if held_out is not None and len(held_out.pairs) else None
+    return Trainer(told(prior, own.traits), Tuning(data, chunk, neighbors), validation, settings, seed)
 
 
 def _some(data: Sequences, chosen: np.ndarray) -> Sequences:

@@ -10,7 +10,7 @@ from torch import Tensor
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, REACH, simulated
 from piegraph_cli.dynamics.family.drawn import TRAITS
-from piegraph_cli.dynamics.own import SIMULATED, Own, stroke_parts
+from piegraph_cli.dynamics.own import SIMULATED, Own, is_chain, stroke_parts
 from piegraph_cli.dynamics.params import RigidParams
 from piegraph_cli.dynamics.prior import Chunk
 from piegraph_cli.dynamics.rigid_body import MOVED, WIDE, RigidBody, body_frame, planar_residuals
@@ -40,6 +40,8 @@ def check_block(data: Sequences) -> None:
     motion = np.linalg.norm(after - before, axis=-1).mean(1)
     moved = motion > MOVED
     if not moved.any():
+        if is_chain(data.rest[0]):  # nothing tells that it does not bend
+            raise DataError("particles lie along a line: the prior is for blocks", hint=hint)
         return
     bent = float(np.median(planar_residuals(before[moved], after[moved])))
     if bent > max(BENT, SHARE * float(np.median(motion[moved]))):

@@ -22,7 +22,7 @@ from piegraph_cli.dynamics.family.ropes import (
     simulated,
     traits_of,
 )
-from piegraph_cli.dynamics.own import SIMULATED, Own, stroke_parts
+from piegraph_cli.dynamics.own import SIMULATED, Own, is_chain, stroke_parts
 from piegraph_cli.dynamics.prior import Chunk
 from piegraph_cli.dynamics.sms import object_springs
 from piegraph_cli.errors import DataError
@@ -42,8 +42,6 @@ SHAPES, ROWS = 8, 3
 """Sequences whose states simulated strokes begin in, at most; strokes in a row from each."""
 KNOWN = np.array([0.2, 0.2, 0.2, 0.07, 0.2])
 """Deviations of the numbers in simulated strokes (of logarithms, and of damping's logit), where there are strokes."""
-CHAIN, NEAR = 0.4, 6.0
-"""How wide a piece of a rope is beside its length, at most, and into how many pieces of an object that is looked at."""
 _OPTIMISER: dict[str, Any] = {"popsize": 4, "maxiter": 25, "tol": 1e-3, "polish": False, "rng": 0, "init": "sobol"}
 _NAMES = ("stiffness", "damping", "friction with the table", "reach of the pusher", "friction with the pusher")
 
@@ -62,14 +60,6 @@ class Fit:
     """Mean motion of the particles in them (m)."""
     doubts: list[str]
     """What the user is told of it."""
-
-
-def is_chain(rest: np.ndarray) -> bool:
-    """Whether particles [N, 3] (m) lie along a line, straight or not: pieces of it are long and narrow."""
-    apart = cdist(rest[:, :2], rest[:, :2])
-    near = apart < max(apart.max() / NEAR, 2 * np.partition(apart, 3, axis=1)[:, 3].max())
-    shape = [np.linalg.svd(flat - flat.mean(0), compute_uv=False) for flat in (rest[row, :2] for row in near)]
-    return bool(np.median([narrow / max(wide, 1e-9) for wide, narrow in shape]) < CHAIN)
 
 
 def check_rope(data: Sequences) -> None:

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from piegraph_cli.commands.program import app
 from piegraph_cli.dynamics.family.params import PretrainParams
-from piegraph_cli.dynamics.params import SHIPPED_PRIOR, EGNNParams
+from piegraph_cli.dynamics.params import SHIPPED_PRIORS, EGNNParams
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.stages import STAGES, evaluate
 from piegraph_cli.stages.prior import PRETRAIN, adopted, pretrain, read_prior
@@ -37,13 +37,13 @@ def rewritten(small, out, version=PRETRAIN.version, features=None):
 
 
 def test_a_prior_says_what_it_has_seen():
-    about = read_artifact(SHIPPED_PRIOR, "prior").params
+    about = read_artifact(SHIPPED_PRIORS, "prior").params
     assert about["simulators"] == ["analytic quasi-static pushing"]
     assert {"seed", "family", "steps"} <= about["settings"].keys()
     assert about["strokes"] > 100_000
     assert about["cpu_minutes"] > 0
     assert len(about["seen"]["outlines"]) == 5
-    assert SHIPPED_PRIOR.stat().st_size < 2_000_000
+    assert SHIPPED_PRIORS.stat().st_size < 2_000_000
 
 
 def test_what_is_no_prior_is_refused(small, tmp_path):

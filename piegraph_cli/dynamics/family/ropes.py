@@ -5,7 +5,6 @@ Length, shape at rest, particles, bending, friction, pusher and strokes are draw
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, random_strokes
 from piegraph_cli.dynamics.sms import STABLE, object_springs, stroke_path

@@ -140,7 +140,7 @@ class EGNNParams(GraphParams):
         """As for all settings; priors that are shipped lie in the package, and the recording tells which one it is."""
         if self.prior != PRIOR:
             return super().files()
-        return {f"prior.{family}": file for family, file in SHIPPED_PRIORS.items()}
+        return {"prior": SHIPPED_PRIORS["blocks"], "prior_ropes": SHIPPED_PRIORS["ropes"]}
 
 
 class ActionNodeParams(GraphParams):

@@ -122,15 +122,19 @@ class Chunk:
         return distance_loss(found, self.after[chosen], before).mean()
 
 
-def distance_loss(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
-    """Mean distance [B] (about dm) of particles [B, N, 3] (m), less of those that move far; its square near 0.
+def plain_distance(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
+    """Mean distance [B] (about dm) of particles [B, N, 3] (m); its square near 0.
 
     `seen` [B, N]: the particles that count, all by default.
     """
     square = ((predicted - target) * DECIMETRE).square().sum(-1)
-    motion = ((target - before) * DECIMETRE).norm(dim=-1)
-    motion = mean_seen(motion, seen)
-    return mean_seen((square + SOFT**2).sqrt() - SOFT, seen) * (2 * SHORT / (SHORT + motion))
+    return mean_seen((square + SOFT**2).sqrt() - SOFT, seen)
+
+
+def distance_loss(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
+    """`plain_distance`, less of particles that move far: errors count as shares of the motion."""
+    motion = mean_seen(((target - before) * DECIMETRE).norm(dim=-1), seen)
+    return plain_distance(predicted, target, before, seen) * (2 * SHORT / (SHORT + motion))
 
 
 def draw_chunk(family: str, seed: int, index: int, neighbors: int) -> Chunk:

@@ -17,12 +17,10 @@ from piegraph_cli.dynamics.own import Own
 from piegraph_cli.dynamics.own_block import check_block, own_block
 from piegraph_cli.dynamics.own_rope import check_rope, own_rope
 from piegraph_cli.dynamics.params import EGNNParams
-from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss
+from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss, plain_distance
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError
 
-REAL = 3
-"""Examples of a batch that are real, where there are any."""
 HELD, ENOUGH = 4, 20
 """Every so many strokes one is left out to choose the number of steps by, where there are enough: two tell nothing."""
 GAIN = 0.1
@@ -37,27 +35,37 @@ class Kind:
     """Raises `DataError` for another kind of object."""
     own: Callable[[Sequences, int, int], Own]
     """The object, from its strokes, neighbours in the graph and a seed."""
+    steps: int
+    """Training steps, at most."""
+    real: int
+    """Examples of a batch that are real, where there are any."""
+    loss: Callable[..., Tensor]
+    """Of positions that are predicted, true, before, and of the particles that are seen [B, N], each [B]."""
 
 
-KINDS = {"blocks": Kind(check_block, own_block), "ropes": Kind(check_rope, own_rope)}
-"""By family."""
+KINDS = {
+    "blocks": Kind(check_block, own_block, 600, 3, distance_loss),
+    "ropes": Kind(check_rope, own_rope, 3000, 8, plain_distance),
+}
+"""By family. A rope's springs are further from the truth than a block's numbers: more of what it learns from is real. What
+a rope does that is pushed along itself is rare and goes far, so that there all millimetres count alike."""
 
 
 class Tuning:
     """Training examples: pairs of the recording, and in every batch more strokes that are simulated."""
 
-    def __init__(self, data: Sequences, chunk: Chunk, neighbors: int):
+    def __init__(self, data: Sequences, chunk: Chunk, neighbors: int, kind: Kind):
         self.pairs = Pairs.of(data, neighbors) if len(data.pairs) else None
-        self.chunk = chunk
+        self.chunk, self.kind = chunk, kind
 
     def __len__(self) -> int:
         return len(self.chunk) if self.pairs is None else len(self.pairs)
 
     def loss(self, network: nn.Module, chosen: Tensor, rng: np.random.Generator | None = None) -> Tensor:
-        """`distance_loss` of the network on the chosen pairs [B]; with `rng` most of them are simulated strokes instead."""
+        """The loss of the network on the chosen pairs [B]; with `rng` most of them are simulated strokes instead."""
         if rng is None:
             return self._real(network, chosen).mean() if self.pairs is not None else self._made(network, chosen).mean()
-        real = chosen[: min(REAL, len(chosen))] if self.pairs is not None else chosen[:0]
+        real = chosen[: min(self.kind.real, len(chosen))] if self.pairs is not None else chosen[:0]
         made = torch.as_tensor(rng.integers(0, len(self.chunk), len(chosen) - len(real)))
         losses = [self._made(network, made)] if len(made) else []
         return torch.cat([*losses, self._real(network, real)] if len(real) else losses).mean()
@@ -71,12 +79,12 @@ class Tuning:
         pairs, start = self.pairs, self.pairs.start[chosen]
         found = network(start, pairs.strokes[chosen], pairs.rest[pairs.owner[chosen]], pairs.grasp[chosen])
         seen = None if pairs.seen is None else pairs.seen[chosen]
-        return distance_loss(found, pairs.end[chosen], start, seen)
+        return self.kind.loss(found, pairs.end[chosen], start, seen)
 
     def _made(self, network: nn.Module, chosen: Tensor) -> Tensor:
         chunk, before = self.chunk, self.chunk.before[chosen]
         found = network(before, chunk.strokes[chosen], chunk.rest[chunk.owner[chosen]], chunk.grasp[chosen])
-        return distance_loss(found, chunk.after[chosen], before)
+        return self.kind.loss(found, chunk.after[chosen], before)
 
 
 def family_of(data: Sequences) -> str:
@@ -130,9 +138,9 @@ def start_tuning(
     prior: Prior, own: Own, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int
 ) -> Trainer:
     """The training of a prior on a recording of one object, about to begin."""
-    chunk, neighbors = own.chunk, settings.neighbors
-    validation = Tuning(held_out, chunk, neighbors) if held_out is not None and len(held_out.pairs) else None
-    return Trainer(told(prior, own.traits), Tuning(data, chunk, neighbors), validation, settings, seed)
+    chunk, neighbors, kind = own.chunk, settings.neighbors, KINDS[prior.family]
+    validation = Tuning(held_out, chunk, neighbors, kind) if held_out is not None and len(held_out.pairs) else None
+    return Trainer(told(prior, own.traits), Tuning(data, chunk, neighbors, kind), validation, settings, seed)
 
 
 def _some(data: Sequences, chosen: np.ndarray) -> Sequences:

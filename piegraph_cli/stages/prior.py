@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 HINT = "--from prior, one of those that are shipped, or a file of piegraph pretrain"
 TUNING: dict[str, Any] = {"steps": 600, "learning_rate": 1e-3, "batch": 16, "cycles": 1, "clip": 1.0}
-"""How a prior learns from a recording; the steps are the most."""
+"""How a prior learns from a recording; how many steps its family says."""
 KEPT_EVERY = 500
 """Steps between checkpoints."""
 

@@ -232,6 +232,7 @@ def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
     prior, simulators = read_prior(SHIPPED_PRIORS[family_of(data)] if shipped else settings.files()["prior"])
     kind = KINDS[prior.family]
     kind.check(data)
+    settings = settings.model_copy(update={"steps": kind.steps})
     held_out = None if count == 0 else read_sequences(dataset, VALIDATION)
     if held_out is None or not len(held_out.strokes):
         settings = settings.model_copy(update={"steps": tuned_steps(prior, data, settings, params.seed)})

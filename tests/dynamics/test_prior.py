@@ -15,7 +15,7 @@ from piegraph_cli.dynamics.own_block import check_block, fitted_body, own_block,
 from piegraph_cli.dynamics.params import SHIPPED_PRIORS, EGNNParams, ModelParams, TrainParams
 from piegraph_cli.dynamics.prior import Pretraining, make_prior
 from piegraph_cli.dynamics.training import Trainer
-from piegraph_cli.dynamics.tuning import Tuning, start_tuning, tuned_steps, unseen
+from piegraph_cli.dynamics.tuning import KINDS, Tuning, start_tuning, tuned_steps, unseen
 from piegraph_cli.errors import DataError
 from piegraph_cli.stages.prior import TUNING, read_prior
 from tests.dynamics.test_rigid_body import pushed
@@ -76,7 +76,7 @@ def test_with_few_strokes_and_steps_a_prior_beats_a_network_that_begins_with_not
     tuned = error(trained(begin(prior, data)), test)
     chunk = own_strokes(fitted_body(data), data, SETTINGS.neighbors, 0)
     fresh = make_network("piegraph", SETTINGS, False, 0)
-    scratch = error(trained(Trainer(fresh, Tuning(data, chunk, 6), None, SETTINGS, 0)), test)
+    scratch = error(trained(Trainer(fresh, Tuning(data, chunk, 6, KINDS["blocks"]), None, SETTINGS, 0)), test)
     assert at_once < 0.5 * static
     assert tuned < at_once
     assert tuned < 0.6 * scratch
@@ -123,7 +123,7 @@ def test_a_model_without_a_prior_has_the_content_it_had():
     settings = ModelParams(label="piegraph", seed=0, settings=EGNNParams()).content()["settings"]
     assert "prior" not in settings
     begins = TrainParams().of("piegraph:prior@5")
-    assert begins.files() == {f"prior.{family}": file for family, file in SHIPPED_PRIORS.items()}
+    assert begins.files() == {"prior": SHIPPED_PRIORS["blocks"], "prior_ropes": SHIPPED_PRIORS["ropes"]}
     assert begins.content()["prior"] == "prior"
 
 

@@ -43,7 +43,7 @@ SHAPES, ROWS = 8, 3
 KNOWN = np.array([0.2, 0.2, 0.2, 0.07, 0.2])
 """Deviations of the numbers in simulated strokes (of logarithms, and of damping's logit), where there are strokes."""
 _OPTIMISER: dict[str, Any] = {"popsize": 4, "maxiter": 25, "tol": 1e-3, "polish": False, "rng": 0, "init": "sobol"}
-_NAMES = ("stiffness", "damping", "friction with the table", "reach of the pusher", "friction with the pusher")
+_NAMES = ("damping", "friction with the table", "reach of the pusher", "friction with the pusher")
 
 
 @dataclass(frozen=True)
@@ -122,47 +122,58 @@ def _length(rest: np.ndarray) -> float:
     return float(ways[np.isfinite(ways)].max())
 
 
-def fitted(data: Sequences) -> Fit:
-    """Springs whose strokes end nearest to those of a recording; numbers that strokes do not tell stay near the middle."""
-    owners = np.unique(data.owner)
-    chosen = owners[
-        np.unique(np.linspace(0, len(owners) - 1, max(1, MOST * len(owners) // len(data.strokes))).astype(int))
-    ]
-    graphs = {(q, k): springs_of(data.rest[q], span) for q in chosen for k, span in enumerate(SPANS)}
-    strokes = data.whole().planar
-    start, end = strokes.start.numpy(), strokes.end.numpy()
-    before, after = (data.positions[k] for k in data.strokes.T)
-    seen = np.ones(before.shape[:2], bool) if data.seen is None else data.seen[data.strokes].all(1)
+class _Strokes:
+    """The strokes that springs are fitted to, and the springs of their ropes at every reach."""
 
-    def errors(x: np.ndarray) -> np.ndarray:
-        """[K, strokes] metres of candidates [K, 6]."""
+    def __init__(self, data: Sequences):
+        owners = np.unique(data.owner)
+        few = max(1, MOST * len(owners) // len(data.strokes))
+        self.owners = owners[np.unique(np.linspace(0, len(owners) - 1, few).astype(int))]
+        self.owner = data.owner
+        self.graphs = {(q, k): springs_of(data.rest[q], span) for q in self.owners for k, span in enumerate(SPANS)}
+        strokes = data.whole().planar
+        self.start, self.end = strokes.start.numpy(), strokes.end.numpy()
+        self.before, self.after = (data.positions[k] for k in data.strokes.T)
+        seen = np.ones(self.before.shape[:2], bool) if data.seen is None else data.seen[data.strokes].all(1)
+        self.weights = seen / seen.sum(1, keepdims=True).clip(1)
+
+    def errors(self, x: np.ndarray) -> np.ndarray:
+        """[K, strokes] metres: how far off candidates [K, 6] leave the particles."""
         numbers, level, found = numbers_of(x), _level(x), []
-        for q in chosen:
-            mine = np.flatnonzero(data.owner == q)
+        for q in self.owners:
+            mine = np.flatnonzero(self.owner == q)
             error = np.empty((len(x), len(mine)))
             for k in np.unique(level):
                 sets = np.flatnonzero(level == k)
                 rows, every = np.repeat(numbers[sets], len(mine), 0), np.tile(mine, len(sets))
-                moved = pushed(graphs[q, k], rows, before[every], start[every], end[every])
-                apart = np.linalg.norm(moved - after[every], axis=-1) * seen[every]
-                error[sets] = (apart.sum(1) / seen[every].sum(1).clip(1)).reshape(len(sets), -1)
+                moved = pushed(self.graphs[q, k], rows, self.before[every], self.start[every], self.end[every])
+                apart = np.linalg.norm(moved - self.after[every], axis=-1)
+                error[sets] = (apart * self.weights[every]).sum(1).reshape(len(sets), -1)
             found.append(error)
         return np.concatenate(found, 1)
 
+
+def fitted(data: Sequences) -> Fit:
+    """Springs whose strokes end nearest to those of a recording; numbers that strokes do not tell stay near the middle.
+
+    Raises `DataError` where all of them leave most of the motion.
+    """
+    strokes = _Strokes(data)
+
     def score(columns: np.ndarray) -> np.ndarray:
-        error = errors(columns.T)
+        error = strokes.errors(columns.T)
         return error.shape[1] * np.log(error.mean(1) + 1e-3) + 0.5 * np.square(columns[2:]).sum(0)
 
     bounds = [(0.0, 1.0), (0.0, 1.0), *[(-FAR, FAR)] * 4]
     best = differential_evolution(score, bounds, vectorized=True, updating="deferred", **_OPTIMISER).x[None]
-    error = float(errors(best).mean())
-    motion = float(np.linalg.norm(after - before, axis=-1).mean())
+    error = float(strokes.errors(best).mean())
+    motion = float(np.linalg.norm(strokes.after - strokes.before, axis=-1).mean())
     if error > LEFT * motion:
         raise DataError(
             f"springs leave {error * 100:.1f} of {motion * 100:.1f} cm that particles move: no rope that was pushed fits",
             hint="train without --from; look at the hand and the strokes with `piegraph report`",
         )
-    at = [name for name, value in zip(_NAMES[1:], best[0, 2:], strict=True) if abs(value) > FAR * (1 - EDGE)]
+    at = [name for name, value in zip(_NAMES, best[0, 2:], strict=True) if abs(value) > FAR * (1 - EDGE)]
     doubts = [f"the fit of this rope ends at a bound: {', '.join(at)}; more strokes, or another pusher"] if at else []
     return Fit(float(SPANS[_level(best)[0]]), numbers_of(best)[0], error, motion, doubts)
 

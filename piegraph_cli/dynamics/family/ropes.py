@@ -91,7 +91,8 @@ def random_rope(rng: np.random.Generator, particles: int) -> tuple[np.ndarray, f
 def random_numbers(rng: np.random.Generator, count: int) -> np.ndarray:
     """Numbers [count, 5] of ropes: stiffness as a share of what springs bear, logit of damping, friction, reach, grip."""
     normal = np.clip(rng.normal(0, 1, (count, 4)), -2, 2)
-    stiffness = np.exp(rng.uniform(*np.log(STIFFNESS), count))
+    low, high = np.log(STIFFNESS)
+    stiffness = np.exp(rng.uniform(low, high, count))
     damping = DAMPING[0] + DAMPING[1] * normal[:, 0]
     others = [m * np.exp(s * normal[:, k]) for k, (m, s) in enumerate((FRICTION, REACH, GRIP), 1)]
     return np.column_stack([stiffness, damping, *others])
@@ -150,7 +151,7 @@ def pushed(
         grip,
         settle=SETTLE,
     )
-    strokes = Strokes.of(*(torch.as_tensor(a.astype(np.float32)) for a in (start, end)), PUSH)
+    strokes = Strokes.of(start.astype(np.float32), end.astype(np.float32), PUSH)
     path = stroke_path(strokes, STRIDE, SETTLE)
     return spring_kernel.push(torch.as_tensor(before.astype(np.float32)), path, graph, params).numpy()
 

@@ -118,8 +118,9 @@ class GraphParams(LearningParams):
 
 
 PRIOR = Path("prior")
-"""The word for the prior that is shipped, in place of a file."""
-SHIPPED_PRIOR = Path(__file__).parent.parent / "priors" / "blocks.h5"
+"""The word for the priors that are shipped, in place of a file."""
+SHIPPED_PRIORS = {family: Path(__file__).parent.parent / "priors" / f"{family}.h5" for family in ("blocks", "ropes")}
+"""Those that are shipped, by family; all networks have the same size."""
 
 
 class EGNNParams(GraphParams):
@@ -131,13 +132,15 @@ class EGNNParams(GraphParams):
     action_head: bool = Field(True, description="add a displacement in the stroke's frame")
     prior: Path | None = Field(
         None,
-        description="what it begins with: `prior`, the one that is shipped, for blocks, or a file of `piegraph pretrain`; "
-        "its network's size is taken, and how long it learns is chosen",
+        description="what it begins with: `prior`, that of the shipped ones that is for such an object (blocks, ropes), or a "
+        "file of `piegraph pretrain`; its network's size is taken, and how long it learns is chosen",
     )
 
     def files(self) -> dict[str, Path]:
-        """As for all settings; the prior that is shipped lies in the package."""
-        return super().files() | ({"prior": SHIPPED_PRIOR} if self.prior == PRIOR else {})
+        """As for all settings; priors that are shipped lie in the package, and the recording tells which one it is."""
+        if self.prior != PRIOR:
+            return super().files()
+        return {"prior": SHIPPED_PRIORS["blocks"], "prior_ropes": SHIPPED_PRIORS["ropes"]}
 
 
 class ActionNodeParams(GraphParams):
@@ -280,8 +283,8 @@ class TrainParams(Params):
         }
 
     def placed(self, base: Path) -> dict[str, str]:
-        """As for all settings; the prior that is shipped stays a word, which holds wherever piegraph is."""
-        shipped = {name for name, file in self.files().items() if file == SHIPPED_PRIOR}
+        """As for all settings; the priors that are shipped stay a word, which holds wherever piegraph is."""
+        shipped = {name for name, file in self.files().items() if file in SHIPPED_PRIORS.values()}
         return {name: place for name, place in super().placed(base).items() if name not in shipped}
 
     def seeds_of(self, label: str) -> tuple[int, ...]:

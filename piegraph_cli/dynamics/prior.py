@@ -13,16 +13,15 @@ import torch
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import DECIMETRE, EGNN, Rest
-from piegraph_cli.dynamics.family import blocks
-from piegraph_cli.dynamics.family.blocks import draw_block
+from piegraph_cli.dynamics.family import blocks, ropes
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn
 from piegraph_cli.dynamics.family.params import PretrainParams
 from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 
-Draw = Callable[[np.random.Generator, int, int], Drawn]
-"""An object of so many particles, and so many strokes of it."""
+Draw = Callable[[np.random.Generator, int], list[Drawn]]
+"""Objects with so many particles, with strokes of them: as many as a chunk has."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +35,15 @@ class Family:
     """What is drawn, as it is written into a prior's file."""
 
 
-FAMILIES = {"blocks": Family(draw_block, "analytic quasi-static pushing", blocks.SEEN)}
-
+FAMILIES = {
+    "blocks": Family(blocks.draw_blocks, "analytic quasi-static pushing", blocks.SEEN),
+    "ropes": Family(ropes.draw_ropes, "springs of this project", ropes.SEEN),
+}
 
 PARTICLES = (20, 30, 40, 50)
 """Of the objects of a chunk."""
-OBJECTS, STROKES = 64, 16
-"""Of a chunk of strokes, each of which is learned from once."""
+STROKES = 1024
+"""Of a chunk, each of which is learned from once."""
 SOFT = 0.02
 """Decimetres below which an error counts by its square."""
 SHORT = 0.2
@@ -56,9 +57,9 @@ RECORDS = 40
 class Prior(nn.Module):
     """The network of piegraph and what it makes of an object's traits: a shift of its features."""
 
-    def __init__(self, network: EGNN):
+    def __init__(self, network: EGNN, family: str):
         super().__init__()
-        self.network = network
+        self.network, self.family = network, family
         self.traits = nn.Linear(TRAITS, network.embed.out_features, bias=False)
 
     def forward(self, positions: Tensor, strokes: Strokes, rest: Rest, grasp: Tensor, traits: Tensor) -> Tensor:
@@ -70,7 +71,7 @@ def make_prior(params: PretrainParams, picks: bool, seed: int) -> Prior:
     """One with fresh weights, drawn from the seed."""
     torch.manual_seed(seed)
     network = EGNN(params.neighbors, params.hidden, params.layers, True, picks, True, True)
-    return Prior(network)
+    return Prior(network, params.family)
 
 
 @dataclass(frozen=True)
@@ -121,22 +122,26 @@ class Chunk:
         return distance_loss(found, self.after[chosen], before).mean()
 
 
-def distance_loss(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
-    """Mean distance [B] (about dm) of particles [B, N, 3] (m), less of those that move far; its square near 0.
+def plain_distance(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
+    """Mean distance [B] (about dm) of particles [B, N, 3] (m); its square near 0.
 
     `seen` [B, N]: the particles that count, all by default.
     """
     square = ((predicted - target) * DECIMETRE).square().sum(-1)
-    motion = ((target - before) * DECIMETRE).norm(dim=-1)
-    motion = mean_seen(motion, seen)
-    return mean_seen((square + SOFT**2).sqrt() - SOFT, seen) * (2 * SHORT / (SHORT + motion))
+    return mean_seen((square + SOFT**2).sqrt() - SOFT, seen)
+
+
+def distance_loss(predicted: Tensor, target: Tensor, before: Tensor, seen: Tensor | None = None) -> Tensor:
+    """`plain_distance`, less of particles that move far: errors count as shares of the motion."""
+    motion = mean_seen(((target - before) * DECIMETRE).norm(dim=-1), seen)
+    return plain_distance(predicted, target, before, seen) * (2 * SHORT / (SHORT + motion))
 
 
 def draw_chunk(family: str, seed: int, index: int, neighbors: int) -> Chunk:
     """The `index`-th chunk of a seed."""
     rng = np.random.default_rng([seed, index])
     particles = PARTICLES[int(rng.integers(len(PARTICLES)))]
-    return Chunk.of([FAMILIES[family].draw(rng, particles, STROKES) for _ in range(OBJECTS)], neighbors)
+    return Chunk.of(FAMILIES[family].draw(rng, particles), neighbors)
 
 
 class Pretraining:
@@ -145,8 +150,8 @@ class Pretraining:
     Step t learns from strokes that (seed, t) alone decide, so resuming changes nothing.
     """
 
-    def __init__(self, prior: Prior, family: str, params: PretrainParams):
-        self.prior, self.family, self.params = prior, family, params
+    def __init__(self, prior: Prior, params: PretrainParams):
+        self.prior, self.params = prior, params
         self.optimizer = torch.optim.AdamW(prior.parameters(), lr=params.learning_rate, weight_decay=1e-4, fused=True)
         self.done = 0
         self.history: list[tuple[int, float]] = []
@@ -161,10 +166,10 @@ class Pretraining:
     def step(self) -> None:
         """One step. Raises `DataError` when training has diverged."""
         params = self.params
-        every = OBJECTS * STROKES // params.batch
+        every = STROKES // params.batch
         index, place = divmod(self.done, every)
         if self.chunk is None or self.chunk[0] != index:
-            drawn = draw_chunk(self.family, params.seed, index, params.neighbors)
+            drawn = draw_chunk(params.family, params.seed, index, params.neighbors)
             order = np.random.default_rng([params.seed, index, 1]).permutation(len(drawn))
             self.chunk = index, drawn, torch.as_tensor(order)
         _, chunk, chosen = self.chunk

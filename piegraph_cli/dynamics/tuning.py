@@ -4,58 +4,68 @@ With no stroke yet the object's particles at rest are enough.
 """
 
 import copy
-import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from piegraph_cli.dynamics.egnn import EGNN
 from piegraph_cli.dynamics.examples import Pairs, Sequences
-from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, REACH, simulated
-from piegraph_cli.dynamics.family.drawn import TRAITS
-from piegraph_cli.dynamics.params import EGNNParams, RigidParams
-from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss
-from piegraph_cli.dynamics.rigid_body import MOVED, WIDE, RigidBody, body_frame, planar_residuals
+from piegraph_cli.dynamics.own import Own
+from piegraph_cli.dynamics.own_block import check_block, own_block
+from piegraph_cli.dynamics.own_rope import check_rope, own_rope
+from piegraph_cli.dynamics.params import EGNNParams
+from piegraph_cli.dynamics.prior import Chunk, Prior, distance_loss, plain_distance
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.errors import DataError
-from piegraph_cli.physics.rigid import moved_in_plane
 
-SIMULATED = 6000
-"""Strokes of the object that are simulated."""
-KNOWN = (0.25, 0.1, 0.15)
-"""Deviations of the logarithms of friction, turning length and reach in these, where there are strokes to fit them to."""
-UNKNOWN = (FRICTION[1], PRESSURE[1], REACH[1])
-"""The same without any stroke."""
-REAL = 3
-"""Examples of a batch that are real, where there are any."""
-SHAPES = 4
-"""Sequences whose particles are used in simulated strokes, at most."""
 HELD, ENOUGH = 4, 20
 """Every so many strokes one is left out to choose the number of steps by, where there are enough: two tell nothing."""
 GAIN = 0.1
 """Share by which fewer steps have to be better than all, on strokes that were left out: a few strokes tell no less."""
-BENT, SHARE = 0.005, 0.2
-"""Metres from a rigid motion, and share of the motion, above which a thing bends."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is done with a recording for a prior of one family."""
+
+    check: Callable[[Sequences], None]
+    """Raises `DataError` for another kind of object."""
+    own: Callable[[Sequences, int, int], Own]
+    """The object, from its strokes, neighbours in the graph and a seed."""
+    steps: int
+    """Training steps, at most."""
+    real: int
+    """Examples of a batch that are real, where there are any."""
+    loss: Callable[..., Tensor]
+    """Of positions that are predicted, true, before, and of the particles that are seen [B, N], each [B]."""
+
+
+KINDS = {
+    "blocks": Kind(check_block, own_block, 600, 3, distance_loss),
+    "ropes": Kind(check_rope, own_rope, 3000, 8, plain_distance),
+}
+"""By family. A rope's springs are further from the truth than a block's numbers: more of what it learns from is real. What
+a rope does that is pushed along itself is rare and goes far, so that there all millimetres count alike."""
 
 
 class Tuning:
     """Training examples: pairs of the recording, and in every batch more strokes that are simulated."""
 
-    def __init__(self, data: Sequences, chunk: Chunk, neighbors: int):
+    def __init__(self, data: Sequences, chunk: Chunk, neighbors: int, kind: Kind):
         self.pairs = Pairs.of(data, neighbors) if len(data.pairs) else None
-        self.chunk = chunk
+        self.chunk, self.kind = chunk, kind
 
     def __len__(self) -> int:
         return len(self.chunk) if self.pairs is None else len(self.pairs)
 
     def loss(self, network: nn.Module, chosen: Tensor, rng: np.random.Generator | None = None) -> Tensor:
-        """`distance_loss` of the network on the chosen pairs [B]; with `rng` most of them are simulated strokes instead."""
+        """The loss of the network on the chosen pairs [B]; with `rng` most of them are simulated strokes instead."""
         if rng is None:
             return self._real(network, chosen).mean() if self.pairs is not None else self._made(network, chosen).mean()
-        real = chosen[: min(REAL, len(chosen))] if self.pairs is not None else chosen[:0]
+        real = chosen[: min(self.kind.real, len(chosen))] if self.pairs is not None else chosen[:0]
         made = torch.as_tensor(rng.integers(0, len(self.chunk), len(chosen) - len(real)))
         losses = [self._made(network, made)] if len(made) else []
         return torch.cat([*losses, self._real(network, real)] if len(real) else losses).mean()
@@ -69,33 +79,25 @@ class Tuning:
         pairs, start = self.pairs, self.pairs.start[chosen]
         found = network(start, pairs.strokes[chosen], pairs.rest[pairs.owner[chosen]], pairs.grasp[chosen])
         seen = None if pairs.seen is None else pairs.seen[chosen]
-        return distance_loss(found, pairs.end[chosen], start, seen)
+        return self.kind.loss(found, pairs.end[chosen], start, seen)
 
     def _made(self, network: nn.Module, chosen: Tensor) -> Tensor:
         chunk, before = self.chunk, self.chunk.before[chosen]
         found = network(before, chunk.strokes[chosen], chunk.rest[chunk.owner[chosen]], chunk.grasp[chosen])
-        return distance_loss(found, chunk.after[chosen], before)
+        return self.kind.loss(found, chunk.after[chosen], before)
 
 
-def check_block(data: Sequences) -> None:
-    """Refuse a recording of something else than a block. Raises `DataError` that says by what it is told."""
-    hint = "train without --from: the prior is for blocks"
-    if data.picks:
-        raise DataError("strokes that hold the object; the prior is for blocks that are pushed", hint=hint)
-    flat = data.rest[0][:, :2] - data.rest[0][:, :2].mean(0)
-    width = float(np.linalg.svd(flat, compute_uv=False)[-1] / math.sqrt(len(flat)))
-    if width < WIDE:
-        raise DataError(f"as narrow as a rope ({width * 1000:.0f} mm): the prior is for blocks", hint=hint)
-    before, after = (data.positions[k][..., :2] for k in data.strokes.T)
-    motion = np.linalg.norm(after - before, axis=-1).mean(1)
-    moved = motion > MOVED
-    if not moved.any():
-        return
-    bent = float(np.median(planar_residuals(before[moved], after[moved])))
-    if bent > max(BENT, SHARE * float(np.median(motion[moved]))):
-        raise DataError(
-            f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends; the prior is for blocks", hint=hint
-        )
+def family_of(data: Sequences) -> str:
+    """The family of priors that a recording's object belongs to. Raises `DataError` for one that belongs to none."""
+    reasons = []
+    for family, kind in KINDS.items():
+        try:
+            kind.check(data)
+        except DataError as error:
+            reasons.append(error.message)
+        else:
+            return family
+    raise DataError("no prior fits this object: " + "; ".join(dict.fromkeys(reasons)), hint="train without --from")
 
 
 def unseen(data: Sequences) -> Sequences:
@@ -103,54 +105,6 @@ def unseen(data: Sequences) -> Sequences:
     none = np.zeros((0, 2), np.int64)
     empty = none[:, 0]
     return replace(data, strokes=none, mode=data.mode[:0], owner=empty, pairs=none, pair_stroke=empty)
-
-
-def fitted_body(data: Sequences) -> RigidBody:
-    """Outline and numbers of a block from its strokes; without any the numbers stay as before strokes are seen."""
-    body = RigidBody(RigidParams(fit=len(data.strokes) > 0, friction=FRICTION[0], reach=REACH[0]))
-    if not len(data.strokes):  # one that nothing comes of
-        at_rest, one = data.rest[:1].repeat(2, 0), np.array([[0, 1]])
-        hand, zero = np.array([[1.0, 0.0], [1.1, 0.0]], np.float32), np.zeros(1, np.int64)
-        data = replace(data, positions=at_rest, hand=hand, strokes=one, mode=zero, owner=zero)
-    body.fit(data)
-    return body
-
-
-def own_strokes(body: RigidBody, data: Sequences, neighbors: int, seed: int) -> Chunk:
-    """Strokes of a body simulated, with the particles that its sequences have."""
-    rng = np.random.default_rng([seed, len(data.strokes)])
-    chosen = np.unique(np.linspace(0, len(data.rest) - 1, SHAPES).astype(int))
-    like = _parts(data, float(body.numbers[2])) if len(data.strokes) else None
-    drawn = []
-    for rest in data.rest[chosen]:
-        pose = body_frame(rest, body.shape.numpy())
-        own = moved_in_plane(rest[:, :2] - pose[:2], np.array([0.0, 0.0, -pose[2]]))
-        spread = KNOWN if len(data.strokes) else UNKNOWN
-        particles = np.concatenate([own, rest[:, 2:]], 1)
-        drawn.append(simulated(rng, body.edges, body.numbers, spread, particles, SIMULATED // len(chosen), like))
-    return Chunk.of(drawn, neighbors)
-
-
-def _parts(data: Sequences, reach: float) -> np.ndarray:
-    """How far the strokes [S, 2] (m) go before they come near the object, and from there on."""
-    strokes, before = data.whole(), torch.as_tensor(data.positions[data.strokes[:, 0]])
-    relative = ((before[..., :2] - strokes.start[:, None]) @ strokes.rotation).double()
-    spacing = float(np.median(cKDTree(data.rest[0]).query(data.rest[0], k=2)[0][:, 1]))
-    near = reach + spacing / 2
-    ahead, aside = relative.unbind(-1)
-    touch = torch.where(aside.abs() < near, ahead - (near**2 - aside**2).clamp_min(0).sqrt(), torch.inf).amin(1)
-    free = torch.minimum(touch.clamp_min(0), strokes.length)
-    return torch.stack([free, strokes.length - free], 1).numpy()
-
-
-def traits_of(body: RigidBody) -> Tensor:
-    """A body's traits [TRAITS] as the prior of blocks was told them."""
-    friction, c, *_ = body.numbers.tolist()
-    gyration = float(body.shape.square().sum(1).mean().sqrt())
-    traits = torch.zeros(TRAITS)
-    for k, (number, (middle, spread)) in enumerate([(friction, FRICTION), (c / gyration, PRESSURE)]):
-        traits[k] = min(max(math.log(number / middle) / spread, -2.0), 2.0)
-    return traits  # how near the pusher comes is measured from particles here: REACH stays in the middle
 
 
 def told(prior: Prior, traits: Tensor) -> EGNN:
@@ -168,7 +122,8 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
         return settings.steps
     held = np.random.default_rng(seed).permutation(count) % HELD == 0
     kept, left = (_some(data, chosen) for chosen in (~held, held))
-    trainer = start_tuning(prior, kept, left, settings, seed)
+    own = KINDS[prior.family].own(kept, settings.neighbors, seed)
+    trainer = start_tuning(prior, own, kept, left, settings, seed)
     every = max(1, settings.steps // 10)
     while not trainer.finished:
         trainer.step()
@@ -179,13 +134,13 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
     return best if losses[best] < (1 - GAIN) * losses[trainer.done] else settings.steps
 
 
-def start_tuning(prior: Prior, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int) -> Trainer:
-    """The training of a prior on a recording, about to begin. Raises `DataError` for things that the prior is not for."""
-    body = fitted_body(data)
-    network = told(prior, traits_of(body))
-    chunk = own_strokes(body, data, settings.neighbors, seed)
-    validation = Tuning(held_out, chunk, settings.neighbors) if held_out is not None and len(held_out.pairs) else None
-    return Trainer(network, Tuning(data, chunk, settings.neighbors), validation, settings, seed)
+def start_tuning(
+    prior: Prior, own: Own, data: Sequences, held_out: Sequences | None, settings: EGNNParams, seed: int
+) -> Trainer:
+    """The training of a prior on a recording of one object, about to begin."""
+    chunk, neighbors, kind = own.chunk, settings.neighbors, KINDS[prior.family]
+    validation = Tuning(held_out, chunk, neighbors, kind) if held_out is not None and len(held_out.pairs) else None
+    return Trainer(told(prior, own.traits), Tuning(data, chunk, neighbors, kind), validation, settings, seed)
 
 
 def _some(data: Sequences, chosen: np.ndarray) -> Sequences:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.execute import Checkpoint
 
-HINT = "--from prior, the one that is shipped, or a file of piegraph pretrain"
+HINT = "--from prior, one of those that are shipped, or a file of piegraph pretrain"
 TUNING: dict[str, Any] = {"steps": 600, "learning_rate": 1e-3, "batch": 16, "cycles": 1, "clip": 1.0}
-"""How a prior learns from a recording; the steps are the most."""
+"""How a prior learns from a recording; how many steps its family says."""
 KEPT_EVERY = 500
 """Steps between checkpoints."""
 
@@ -48,7 +48,7 @@ def adopted(settings: FittedParams) -> FittedParams:
         return settings
     from piegraph_cli.workspace.artifact import read_header
 
-    file = settings.files()["prior"]
+    file = next(iter(settings.files().values()))
     header = read_header(file, PRETRAIN.writes)
     if header is None or header.version != PRETRAIN.version:
         return settings
@@ -114,7 +114,7 @@ def pretrain(params: PretrainParams, out: Path, hours: float | None, tell: Any) 
 
     set_up_torch()
     checkpoint = Checkpoint(out.with_name(f".{out.stem}.checkpoint.h5"), PRETRAIN, key_of(params))
-    training = Pretraining(make_prior(params, False, params.seed), params.family, params)
+    training = Pretraining(make_prior(params, False, params.seed), params)
     saved = checkpoint.load()
     if saved is not None:
         training.load(saved)

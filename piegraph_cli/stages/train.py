@@ -8,7 +8,16 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from piegraph_cli.dynamics.params import LEARNED, EGNNParams, ModelParams, TrainParams, split_label, trained_label
+from piegraph_cli.dynamics.params import (
+    LEARNED,
+    PRIOR,
+    SHIPPED_PRIORS,
+    EGNNParams,
+    ModelParams,
+    TrainParams,
+    split_label,
+    trained_label,
+)
 from piegraph_cli.errors import DataError, MissingError, UsageError, command_line
 from piegraph_cli.params import PUSH, validated
 from piegraph_cli.stages.prior import adopted
@@ -211,23 +220,28 @@ def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
     import numpy as np
 
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
-    from piegraph_cli.dynamics.tuning import check_block, start_tuning, tuned_steps, unseen
+    from piegraph_cli.dynamics.tuning import KINDS, family_of, start_tuning, tuned_steps, unseen
     from piegraph_cli.stages.learning import read_sequences
     from piegraph_cli.stages.prior import read_prior
 
     settings, count = params.settings, split_label(params.label)[2]
     assert isinstance(settings, EGNNParams)
-    prior, simulators = read_prior(settings.files()["prior"])
     data = read_sequences(dataset, TRAIN, count or None, params.seed)
     data = unseen(data) if count == 0 else data
-    check_block(data)
+    shipped = settings.prior == PRIOR
+    prior, simulators = read_prior(SHIPPED_PRIORS[family_of(data)] if shipped else settings.files()["prior"])
+    kind = KINDS[prior.family]
+    kind.check(data)
+    settings = settings.model_copy(update={"steps": kind.steps})
     held_out = None if count == 0 else read_sequences(dataset, VALIDATION)
     if held_out is None or not len(held_out.strokes):
         settings = settings.model_copy(update={"steps": tuned_steps(prior, data, settings, params.seed)})
-    trainer = start_tuning(prior, data, held_out, settings, params.seed)
+    own = kind.own(data, settings.neighbors, params.seed)
+    trainer = start_tuning(prior, own, data, held_out, settings, params.seed)
     _fit(trainer, params, context)
     arrays, quality, warnings = _learned(trainer)
     quality = quality.replace("examples", "examples and simulated strokes of this object")
+    warnings += own.doubts
     if 0 < len(data.strokes) < FEW:
         told = counted(len(data.strokes), "stroke")
         warnings.append(f"{told} to learn from: friction and pusher are hardly told by them; record {FEW} or more")

@@ -11,18 +11,11 @@ from piegraph_cli.dynamics.egnn import Rest
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.family.params import PretrainParams
 from piegraph_cli.dynamics.models import make_network
-from piegraph_cli.dynamics.params import SHIPPED_PRIOR, EGNNParams, ModelParams, TrainParams
+from piegraph_cli.dynamics.own_block import check_block, fitted_body, own_block, own_strokes
+from piegraph_cli.dynamics.params import SHIPPED_PRIORS, EGNNParams, ModelParams, TrainParams
 from piegraph_cli.dynamics.prior import Pretraining, make_prior
 from piegraph_cli.dynamics.training import Trainer
-from piegraph_cli.dynamics.tuning import (
-    Tuning,
-    check_block,
-    fitted_body,
-    own_strokes,
-    start_tuning,
-    tuned_steps,
-    unseen,
-)
+from piegraph_cli.dynamics.tuning import KINDS, Tuning, start_tuning, tuned_steps, unseen
 from piegraph_cli.errors import DataError
 from piegraph_cli.stages.prior import TUNING, read_prior
 from tests.dynamics.test_rigid_body import pushed
@@ -33,7 +26,7 @@ SETTINGS = EGNNParams(neighbors=6, hidden=64, **(TUNING | {"steps": 40}))
 
 
 def begun() -> Pretraining:
-    return Pretraining(make_prior(SMALL, False, 0), "blocks", SMALL)
+    return Pretraining(make_prior(SMALL, False, 0), SMALL)
 
 
 def test_pretraining_taken_up_again_ends_in_the_same_bits():
@@ -53,7 +46,7 @@ def test_pretraining_taken_up_again_ends_in_the_same_bits():
 
 @pytest.fixture(scope="module")
 def prior():
-    return read_prior(SHIPPED_PRIOR)[0]
+    return read_prior(SHIPPED_PRIORS["blocks"])[0]
 
 
 def error(network: torch.nn.Module, data: Sequences) -> float:
@@ -63,6 +56,10 @@ def error(network: torch.nn.Module, data: Sequences) -> float:
     with torch.no_grad():
         found = network(before, data.whole(), Rest.of(torch.as_tensor(data.rest[data.owner]), SETTINGS.neighbors))
     return float((found - after).norm(dim=-1).mean())
+
+
+def begin(prior, data: Sequences) -> Trainer:
+    return start_tuning(prior, own_block(data, SETTINGS.neighbors, 0), data, None, SETTINGS, 0)
 
 
 def trained(trainer: Trainer) -> torch.nn.Module:
@@ -75,11 +72,11 @@ def test_with_few_strokes_and_steps_a_prior_beats_a_network_that_begins_with_not
     data, test = pushed(NUMBERS, 8), pushed(NUMBERS, 40, seed=1)
     first, last = test.strokes.T
     static = float(np.linalg.norm(test.positions[last] - test.positions[first], axis=-1).mean())
-    at_once = error(start_tuning(prior, unseen(data), None, SETTINGS, 0).network, test)
-    tuned = error(trained(start_tuning(prior, data, None, SETTINGS, 0)), test)
+    at_once = error(begin(prior, unseen(data)).network, test)
+    tuned = error(trained(begin(prior, data)), test)
     chunk = own_strokes(fitted_body(data), data, SETTINGS.neighbors, 0)
     fresh = make_network("piegraph", SETTINGS, False, 0)
-    scratch = error(trained(Trainer(fresh, Tuning(data, chunk, 6), None, SETTINGS, 0)), test)
+    scratch = error(trained(Trainer(fresh, Tuning(data, chunk, 6, KINDS["blocks"]), None, SETTINGS, 0)), test)
     assert at_once < 0.5 * static
     assert tuned < at_once
     assert tuned < 0.6 * scratch
@@ -126,7 +123,7 @@ def test_a_model_without_a_prior_has_the_content_it_had():
     settings = ModelParams(label="piegraph", seed=0, settings=EGNNParams()).content()["settings"]
     assert "prior" not in settings
     begins = TrainParams().of("piegraph:prior@5")
-    assert begins.files() == {"prior": SHIPPED_PRIOR}
+    assert begins.files() == {"prior": SHIPPED_PRIORS["blocks"], "prior_ropes": SHIPPED_PRIORS["ropes"]}
     assert begins.content()["prior"] == "prior"
 
 

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from piegraph_cli.commands.program import app
 from piegraph_cli.dynamics.family.params import PretrainParams
-from piegraph_cli.dynamics.params import SHIPPED_PRIOR, EGNNParams
+from piegraph_cli.dynamics.params import PRIOR, SHIPPED_PRIORS, EGNNParams
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.stages import STAGES, evaluate
 from piegraph_cli.stages.prior import PRETRAIN, adopted, pretrain, read_prior
@@ -36,14 +36,25 @@ def rewritten(small, out, version=PRETRAIN.version, features=None):
     return out
 
 
-def test_a_prior_says_what_it_has_seen():
-    about = read_artifact(SHIPPED_PRIOR, "prior").params
-    assert about["simulators"] == ["analytic quasi-static pushing"]
+@pytest.mark.parametrize(
+    ("family", "simulator", "what"),
+    [("blocks", "analytic quasi-static pushing", "outlines"), ("ropes", "springs of this project", "length [m]")],
+)
+def test_a_prior_says_what_it_has_seen(family, simulator, what):
+    about = read_artifact(SHIPPED_PRIORS[family], "prior").params
+    assert about["simulators"] == [simulator]
     assert {"seed", "family", "steps"} <= about["settings"].keys()
+    assert about["settings"]["family"] == family == read_prior(SHIPPED_PRIORS[family])[0].family
     assert about["strokes"] > 100_000
     assert about["cpu_minutes"] > 0
-    assert len(about["seen"]["outlines"]) == 5
-    assert SHIPPED_PRIOR.stat().st_size < 2_000_000
+    assert what in about["seen"]
+    assert SHIPPED_PRIORS[family].stat().st_size < 2_000_000
+
+
+def test_priors_that_are_shipped_have_networks_of_one_size():
+    sizes = {tuple(v.shape for v in read_prior(file)[0].state_dict().values()) for file in SHIPPED_PRIORS.values()}
+    assert len(sizes) == 1
+    assert adopted(EGNNParams(prior=PRIOR)).neighbors == read_prior(SHIPPED_PRIORS["ropes"])[0].network.neighbors
 
 
 def test_what_is_no_prior_is_refused(small, tmp_path):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, first_touch, turned
+from piegraph_cli.dynamics.family.drawn import TOUCHING, TRAITS, Drawn, random_strokes
 from piegraph_cli.dynamics.family.outlines import KINDS, SIZE, along, filled, pieces, random_outline
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.params import PUSH
@@ -28,14 +28,10 @@ HIGH = 0.03
 """Greatest height of the particles [m]."""
 LENGTH = (0.012, 0.15)
 """Of strokes [m], from, to."""
-TOUCHING = 0.4
-"""Share of strokes that begin where they touch."""
-AWAY = 0.08
-"""Farthest that the others begin from there [m]."""
 SPACED = 0.7
 """Share of blocks whose particles are as far apart as they can be; those of others lie at random."""
-ALIKE, AROUND = 0.7, (0.4, 1.2)
-"""Share of simulated strokes that are like those of a recording, and by which factors they differ, from, to."""
+OBJECTS, STROKES = 64, 16
+"""Of a chunk, and of each of its objects."""
 STRIDE = 1e-3
 """Metres of the pusher in a step of the integration."""
 RIM = 0.002
@@ -57,6 +53,11 @@ SEEN = {
 """As it is written into a prior's file."""
 
 
+def draw_blocks(rng: np.random.Generator, particles: int) -> list[Drawn]:
+    """Blocks with so many particles, and strokes of each."""
+    return [draw_block(rng, particles, STROKES) for _ in range(OBJECTS)]
+
+
 def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
     """A block and strokes of it from one pose; a stroke may pass beside it."""
     outline = random_outline(rng)
@@ -66,7 +67,7 @@ def draw_block(rng: np.random.Generator, particles: int, strokes: int) -> Drawn:
     friction, c, reach = (m * math.exp(s * t) for (m, s), t in zip((FRICTION, PRESSURE, REACH), drawn, strict=True))
     numbers = [friction, c * gyration, reach, *(middle + rng.normal(0, OFF * gyration, 2))]
     rim = along(outline, RIM)
-    start, end = _strokes(rng, rim, np.full(strokes, reach))
+    start, end = random_strokes(rng, rim, np.full(strokes, reach), LENGTH)
     x = _particles(rng, inner, rim, particles)
     x = np.concatenate([x, np.full((particles, 1), rng.uniform(0, HIGH))], 1)
     edges = _tensor(np.concatenate([outline, np.roll(outline, -1, 0)], 1))
@@ -91,7 +92,7 @@ def simulated(
     rows = numbers.repeat(count, 1)
     rows[:, :3] *= _tensor(np.exp(rng.normal(0, 1, (count, 3)) * spread))
     rim = pieces(edges.numpy().astype(float).reshape(-1, 2, 2), RIM)
-    start, end = _strokes(rng, rim, rows[:, 2].double().numpy(), like)
+    start, end = random_strokes(rng, rim, rows[:, 2].double().numpy(), LENGTH, like)
     return _pushed(edges, rows, particles, start, end)
 
 
@@ -126,28 +127,3 @@ def _particles(rng: np.random.Generator, inner: np.ndarray, rim: np.ndarray, cou
         return rng.permutation(inner)[:count]
     points = rng.permutation(np.concatenate([inner, rim[:: int(rng.integers(2, 8))]]) if rng.random() < 0.7 else inner)
     return points[farthest_point_sample(np.pad(points, ((0, 0), (0, 1))), count)]
-
-
-def _strokes(
-    rng: np.random.Generator, rim: np.ndarray, reach: np.ndarray, like: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and ends [S, 2] (m) of strokes from anywhere by pushers with these radii [S] (m).
-
-    Their lines touch the outline's points [P, 2] (m), or just miss them. Most begin as far from there, and go on for as
-    long, as one of `like` [K, 2] (m).
-    """
-    starts, ends = [], []
-    for radius in reach.tolist():
-        heading, length = rng.uniform(0, 2 * np.pi), between(rng, *LENGTH)
-        x, across = turned(rim, -heading).T
-        aside = rng.uniform(across.min() - 1.3 * radius, across.max() + 1.3 * radius)
-        touch = first_touch(rim, heading, aside, radius)
-        if not math.isfinite(touch):
-            touch = x.min() + rng.uniform(0, 0.05)
-        start = touch if rng.random() < TOUCHING else touch - rng.uniform(0, min(AWAY, length))
-        if like is not None and rng.random() < ALIKE:
-            free, pushing = like[rng.integers(len(like))] * rng.uniform(*AROUND, 2)
-            start, length = touch - free, max(free + pushing, LENGTH[0])
-        starts.append(turned(np.array([start, aside]), heading))
-        ends.append(turned(np.array([start + length, aside]), heading))
-    return np.array(starts), np.array(ends)

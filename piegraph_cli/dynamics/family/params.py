@@ -6,7 +6,7 @@ from pydantic import Field
 
 from piegraph_cli.params import Params
 
-Family = Literal["blocks"]
+Family = Literal["blocks", "ropes"]
 """Kinds of object that a prior is for."""
 
 

@@ -216,6 +216,7 @@ def attribute(file: "h5py.File", name: str) -> Any:
         return file.attrs[name]
     # as h5py does it, which looks at the type again and makes two arrays more: headers are most of what is read of a run
     text = isinstance(kind, h5py.h5t.TypeStringID)
-    value = np.zeros((), h5py.string_dtype() if text else np.int64)
+    value: np.ndarray[tuple[()], Any] = np.zeros((), h5py.string_dtype() if text else np.int64)
     held.read(value)
-    return value[()].decode("utf-8", "surrogateescape") if text else value[()]
+    found: Any = value[()]
+    return found.decode("utf-8", "surrogateescape") if text else found

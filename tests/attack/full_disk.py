@@ -34,6 +34,8 @@ FREE = re.compile(
     r"(^|/)(\.locks|\.known\.json|run\.log|failures\.json|warnings\.json|checkpoints|\.drawn|\..*\.checkpoint\.h5)"
 )
 """What may be another after a failure: notes, locks, pictures, which are drawn again, and states to go on from."""
+DATE = re.compile(rb"\d\d [A-Z][a-z]+ 20\d\d, \d\d:\d\d")
+"""When a report was written: another minute is no fault."""
 BARE = re.compile(r"\.(?P<name>.+)\.\d+\.tmp$")
 """A file that is renamed once it is whole."""
 
@@ -157,7 +159,7 @@ def contents(folder: Path) -> dict[str, str]:
     for path in folder.rglob("*"):
         if path.is_file() or path.is_symlink():
             found[path.relative_to(folder).as_posix()] = (
-                _artifact(path) or hashlib.sha256(path.read_bytes()).hexdigest()
+                _artifact(path) or hashlib.sha256(DATE.sub(b"", path.read_bytes())).hexdigest()
             )
         elif path != folder / "tmp":
             found[path.relative_to(folder).as_posix()] = "folder"

@@ -50,21 +50,6 @@ def test_a_result_says_when_and_on_what(name: str):
     assert {"title", "machine", "date"} <= read(RESULTS / f"{name}.toml").keys()
 
 
-def test_what_is_printed_twice_agrees():
-    """The errors of predictions in docs/figures.md are among those of all models."""
-    if not all((RESULTS / f"{name}.toml").is_file() for name in ("dynamics-four-strokes", "dynamics")):
-        pytest.skip("made of the same pieces")
-    short, whole = (read(RESULTS / f"{name}.toml") for name in ("dynamics-four-strokes", "dynamics"))
-    assert [column["name"] for column in short["columns"][1:]] == [column["name"] for column in whole["columns"][1:]]
-    of_model = {row[0]: row[1:] for row in whole["rows"]}
-    of_model |= {name.removesuffix(", H = 4"): row for name, row in of_model.items() if name.endswith(", H = 4")}
-    models = [row for row in short["rows"] if "static" not in row[0]]
-    assert len(models) == 8
-    for model, *cells in models:
-        every = [[figure for figure in cell if not isinstance(figure, str)] for cell in of_model[model]]
-        assert cells == [figures[:3] for figures in every], model
-
-
 def test_digits_stay_as_they_are_written(small: Path):
     assert markdown(read(small)) == (
         "| | stiff | bendy |\n|---|---|---|\n| `static` | 5.60 [-0.30, 1.00] | 100 % |\n| `pgnd` | 5.6* [5, 6.0] | |\n"

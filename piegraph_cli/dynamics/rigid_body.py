@@ -28,6 +28,7 @@ MOVED, SEVERAL = 0.005, 4
 """Strokes that move the object by so much (m) tell whether it is rigid, where there are so many."""
 REACH = 1e-3
 """Least distance (m) between the pusher's centre and the outline."""
+_NAMES = ("friction with the pusher", "turning length", "reach of the pusher", *["centre of friction"] * 2)
 _SPREAD = np.array([0.5, 0.3, 0.01, 0.004, 0.004])
 """Of the numbers before any stroke is seen: logarithms of friction and of c, then metres."""
 _OPTIMISER: dict[str, Any] = {"popsize": 8, "maxiter": 40, "tol": 1e-4, "polish": False, "rng": 0}
@@ -46,6 +47,8 @@ class RigidBody(nn.Module):
     def __init__(self, params: RigidParams):
         super().__init__()
         self.params = params
+        self.ended: list[tuple[str, float]] = []
+        """Where in its range the fit of each number ended: 0 in the middle, 1 at a bound."""
         for name, shape in self.learned.items():
             self.register_buffer(name, torch.zeros(shape))
 
@@ -108,6 +111,9 @@ class RigidBody(nn.Module):
         bounds = list(zip(middle - farthest, middle + farthest, strict=True))
         found = differential_evolution(cost, bounds, vectorized=True, updating="deferred", **_OPTIMISER)
         self.numbers = _numbers(found.x[None])[0]
+        shares = np.abs(found.x - middle) / farthest
+        shares[2] = max(shares[2], found.x[2] <= REACH)
+        self.ended = list(zip(_NAMES, shares.tolist(), strict=True))
 
     def _errors(self, numbers: Tensor, poses: Tensor, strokes: Tensor, before: Tensor, after: Tensor) -> Tensor:
         """Mean particle error (m) [K, S] of every stroke [S] under every set of numbers [K, 5]."""

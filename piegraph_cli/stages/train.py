@@ -176,6 +176,7 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
+    from piegraph_cli.stages.comparing import advice
     from piegraph_cli.stages.fitted import about, fit_body
     from piegraph_cli.stages.learning import read_sequences
 
@@ -199,7 +200,10 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     _fit(trainer, params, context)
     arrays, quality, warnings = _learned(trainer)
-    quality += RIGID if name == "piegraph" and is_rigid(data) else ""
+    if name == "piegraph":
+        assert isinstance(settings, EGNNParams)
+        told = advice(data, settings, params.seed, context) if params.label == name else ""
+        quality += told or (RIGID if is_rigid(data) else "")
     return Output(arrays | about(data), quality, warnings)
 
 
@@ -210,6 +214,7 @@ def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
     from piegraph_cli.dynamics.doubts import little_told
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.tuning import KINDS, family_of, start_tuning, tuned_steps, unseen
+    from piegraph_cli.stages.comparing import advice
     from piegraph_cli.stages.fitted import about
     from piegraph_cli.stages.learning import read_sequences
     from piegraph_cli.stages.prior import read_prior
@@ -231,6 +236,8 @@ def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
     _fit(trainer, params, context)
     arrays, quality, warnings = _learned(trainer)
     quality = quality.replace("examples", "examples and simulated strokes of this object")
+    if params.label in ("piegraph", "piegraph:prior"):
+        quality += advice(data, settings, params.seed, context)
     warnings += [*own.doubts, *little_told(data)]
     return Output(arrays | about(data) | {"prior_simulator": np.array(simulators)}, quality, warnings)
 

@@ -13,7 +13,7 @@ from piegraph_cli.dynamics.losses import mean_seen
 from piegraph_cli.dynamics.models import make_network
 from piegraph_cli.dynamics.params import EGNNParams, RigidParams
 from piegraph_cli.dynamics.prior import Prior
-from piegraph_cli.dynamics.rigid_body import RigidBody, carry
+from piegraph_cli.dynamics.rigid_body import carry
 from piegraph_cli.dynamics.rigid_residual import RigidResidual
 from piegraph_cli.dynamics.training import Trainer
 from piegraph_cli.dynamics.tuning import KINDS, family_of, some, start_tuning
@@ -27,7 +27,8 @@ STEPS = 800
 """Of a network that begins with nothing, at most; a prior says its own."""
 SURE = 1.96
 """Standard errors of a mean difference that make it sure."""
-WITH, WITHOUT, STATIC = "piegraph:prior", "piegraph", "static"
+WITH, WITHOUT, BODY, STATIC = "piegraph:prior", "piegraph", "rigid-gp", "static"
+"""Models that are compared, of rigid bodies the one that learns beyond the law only where that helps."""
 
 Ends = Callable[[Sequences], Tensor]
 """Particles [S, N, 3] (m) after the strokes of sequences, as a model predicts them."""
@@ -108,13 +109,7 @@ def _learners(prior: Prior, tuned: EGNNParams, plain: EGNNParams, seed: int) -> 
         return _trained(Trainer(make_network(WITHOUT, settings, False, seed), pairs, None, settings, seed))
 
     networks = {WITH: with_prior, WITHOUT: without}
-    if prior.family != "blocks":
-        return networks
-    return {
-        "rigid": lambda data: _pushed(RigidBody, data),
-        "rigid-gp": lambda data: _pushed(RigidResidual, data),
-        **networks,
-    }
+    return {BODY: _pushed, **networks} if prior.family == "blocks" else networks
 
 
 def _trained(trainer: Trainer) -> Ends:
@@ -132,8 +127,8 @@ def _trained(trainer: Trainer) -> Ends:
     return ends
 
 
-def _pushed(kind: type[RigidBody], data: Sequences) -> Ends:
-    body = kind(RigidParams())
+def _pushed(data: Sequences) -> Ends:
+    body = RigidResidual(RigidParams())
     body.fit(data)
 
     def ends(test: Sequences) -> Tensor:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piegraph_cli.dynamics.choosing import STATIC, WITH, WITHOUT, Compared, comparable, compared
+from piegraph_cli.dynamics.choosing import BODY, STATIC, WITH, WITHOUT, Compared, comparable, compared
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.params import PRIOR, SHIPPED_PRIORS, EGNNParams
 from piegraph_cli.stages.prior import adopted, read_prior
@@ -11,8 +11,7 @@ from piegraph_cli.workspace.stage import Context
 COMMANDS = {
     WITH: "piegraph train --from prior",
     WITHOUT: "piegraph train without --from",
-    "rigid": "piegraph train --model rigid",
-    "rigid-gp": "piegraph train --model rigid-gp",
+    BODY: "piegraph train --model rigid-gp",
 }
 
 

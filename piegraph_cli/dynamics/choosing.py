@@ -108,7 +108,7 @@ def _learners(prior: Prior, tuned: EGNNParams, plain: EGNNParams, seed: int) -> 
         pairs = Pairs.of(data, settings.neighbors, shape_weight=settings.shape_weight)
         return _trained(Trainer(make_network(WITHOUT, settings, False, seed), pairs, None, settings, seed))
 
-    networks = {WITH: with_prior, WITHOUT: without}
+    networks: dict[str, Callable[[Sequences], Ends]] = {WITH: with_prior, WITHOUT: without}
     return {BODY: _pushed, **networks} if prior.family == "blocks" else networks
 
 

@@ -163,6 +163,15 @@ def _pushed(trained: Trained, rest: torch.Tensor) -> Predict:
     return lambda positions, strokes: body.predict(positions, strokes, rest, frame)
 
 
+def _spread(trained: Trained | None, rest: torch.Tensor) -> Callable[[torch.Tensor, Strokes], torch.Tensor] | None:
+    """How far apart (m) the ends lie that its strokes leave possible, of a rigid body; None for what springs correct."""
+    body = None if trained is None else trained.network
+    if not isinstance(body, RigidBody):
+        return None
+    frame = body_frame(rest.cpu().numpy(), body.shape.cpu().numpy())
+    return lambda positions, strokes: body.spread(positions, strokes, rest, frame)
+
+
 def _guided(rest: torch.Tensor, params: PredictionParams) -> Correct:
     graph = build_springs(rest.cpu().numpy(), params.spring_radius)
     return lambda positions, setpoint: spring_kernel.guide(positions, setpoint, graph, params)
@@ -255,12 +264,16 @@ def make_foresee(name: str, trained: Trained | None, rest: torch.Tensor, params:
         return sure(lambda positions, strokes: positions)
     move, correction = _move(name, trained, rest, params), MODELS[name].correction
     correct = correction(rest, params) if correction else None
+    spread = _spread(trained, rest)
 
     def foresee(positions: torch.Tensor, strokes: Strokes) -> tuple[torch.Tensor, torch.Tensor]:
         strokes.check()
         setpoint = move(positions, strokes)
         after = correct(positions, setpoint) if correct else setpoint
-        return after, signs_of(positions, setpoint, after)
+        signs = signs_of(positions, setpoint, after)
+        if spread is not None:
+            signs[:, 1] = spread(positions, strokes)
+        return after, signs
 
     return foresee
 

@@ -14,6 +14,8 @@ from piegraph_cli.dynamics.rigid_body import WIDE
 
 SIMULATED = 6000
 """Strokes of the object that are simulated."""
+HINT = "train without --from; look at the hand and the strokes with `piegraph report`"
+"""What to try where strokes are no pushes of such an object."""
 CHAIN, NEAR = 0.4, 6.0
 """How wide a piece of a rope is beside its length, at most, and into how many pieces of an object that is looked at."""
 

@@ -7,10 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from piegraph_cli.dynamics.doubts import at_bounds, unexplained
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.family.blocks import FRICTION, PRESSURE, REACH, simulated
 from piegraph_cli.dynamics.family.drawn import TRAITS
-from piegraph_cli.dynamics.own import SIMULATED, Own, is_chain, stroke_parts
+from piegraph_cli.dynamics.own import HINT, SIMULATED, Own, is_chain, stroke_parts
 from piegraph_cli.dynamics.params import RigidParams
 from piegraph_cli.dynamics.prior import Chunk
 from piegraph_cli.dynamics.rigid_body import MOVED, WIDE, RigidBody, body_frame, planar_residuals
@@ -51,13 +52,21 @@ def check_block(data: Sequences) -> None:
 
 
 def fitted_body(data: Sequences) -> RigidBody:
-    """Outline and numbers of a block from its strokes; without any the numbers stay as before strokes are seen."""
+    """Outline and numbers of a block from its strokes; without any the numbers stay as before strokes are seen.
+
+    Raises `DataError` where they leave most of the motion.
+    """
     body = RigidBody(RigidParams(fit=len(data.strokes) > 0, friction=FRICTION[0], reach=REACH[0]))
     if not len(data.strokes):  # one that nothing comes of
         at_rest, one = data.rest[:1].repeat(2, 0), np.array([[0, 1]])
         hand, zero = np.array([[1.0, 0.0], [1.1, 0.0]], np.float32), np.zeros(1, np.int64)
         data = replace(data, positions=at_rest, hand=hand, strokes=one, mode=zero, owner=zero)
-    body.fit(data)
+    error, _ = body.fit(data)
+    first, last = data.strokes.T
+    motion = float(np.linalg.norm(data.positions[last] - data.positions[first], axis=-1).mean())
+    wrong = unexplained(error, motion, "pushing", "block") if body.params.fit else None
+    if wrong:
+        raise DataError(wrong, hint=HINT)
     return body
 
 
@@ -89,4 +98,4 @@ def traits_of(body: RigidBody) -> Tensor:
 def own_block(data: Sequences, neighbors: int, seed: int) -> Own:
     """The block of a recording: five numbers fitted to its strokes, if it has any."""
     body = fitted_body(data)
-    return Own(traits_of(body), own_strokes(body, data, neighbors, seed), [])
+    return Own(traits_of(body), own_strokes(body, data, neighbors, seed), at_bounds(body.ended, "block"))

@@ -8,6 +8,7 @@ import torch
 from scipy.optimize import differential_evolution
 from scipy.spatial.distance import cdist
 
+from piegraph_cli.dynamics.doubts import at_bounds, unexplained
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.family.ropes import (
     DAMPING,
@@ -22,7 +23,7 @@ from piegraph_cli.dynamics.family.ropes import (
     simulated,
     traits_of,
 )
-from piegraph_cli.dynamics.own import SIMULATED, Own, is_chain, stroke_parts
+from piegraph_cli.dynamics.own import HINT, SIMULATED, Own, is_chain, stroke_parts
 from piegraph_cli.dynamics.prior import Chunk
 from piegraph_cli.dynamics.sms import object_springs
 from piegraph_cli.errors import DataError
@@ -34,10 +35,6 @@ FAR = 2.5
 """Deviations that a number may be from the middle of its family."""
 MOST = 60
 """Strokes that numbers are fitted to, about: whole sequences, evenly spread."""
-EDGE = 0.02
-"""Share of its range within which a number stands at its bound."""
-LEFT = 0.6
-"""Share of the motion that a fit may leave before it is no fit."""
 SHAPES, ROWS = 8, 3
 """Sequences whose states simulated strokes begin in, at most; strokes in a row from each."""
 KNOWN = np.array([0.2, 0.2, 0.2, 0.07, 0.2])
@@ -168,14 +165,11 @@ def fitted(data: Sequences) -> Fit:
     best = differential_evolution(score, bounds, vectorized=True, updating="deferred", **_OPTIMISER).x[None]
     error = float(strokes.errors(best).mean())
     motion = float(np.linalg.norm(strokes.after - strokes.before, axis=-1).mean())
-    if error > LEFT * motion:
-        raise DataError(
-            f"springs leave {error * 100:.1f} of {motion * 100:.1f} cm that particles move: no rope that was pushed fits",
-            hint="train without --from; look at the hand and the strokes with `piegraph report`",
-        )
-    at = [name for name, value in zip(_NAMES, best[0, 2:], strict=True) if abs(value) > FAR * (1 - EDGE)]
-    doubts = [f"the fit of this rope ends at a bound: {', '.join(at)}; more strokes, or another pusher"] if at else []
-    return Fit(float(SPANS[_level(best)[0]]), numbers_of(best)[0], error, motion, doubts)
+    wrong = unexplained(error, motion, "springs", "rope")
+    if wrong:
+        raise DataError(wrong, hint=HINT)
+    ended = list(zip(_NAMES, np.abs(best[0, 2:]) / FAR, strict=True))
+    return Fit(float(SPANS[_level(best)[0]]), numbers_of(best)[0], error, motion, at_bounds(ended, "rope"))
 
 
 def _level(x: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """How far off a prediction is expected to be, told by two signs that it carries itself: how far the particles move, and how
-far the springs had to correct the network. Strokes that the network did not learn from say what the signs mean."""
+far the springs had to correct the network, or how far apart a rigid body ends by numbers that other draws of its strokes give.
+Strokes that the model did not learn from say what the signs mean."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -28,6 +28,9 @@ MOVED, SEVERAL = 0.005, 4
 """Strokes that move the object by so much (m) tell whether it is rigid, where there are so many."""
 REACH = 1e-3
 """Least distance (m) between the pusher's centre and the outline."""
+_NAMES = ("friction with the pusher", "turning length", "reach of the pusher", *["centre of friction"] * 2)
+OTHERS = 4
+"""Sets of numbers that other draws of the strokes would have given."""
 _SPREAD = np.array([0.5, 0.3, 0.01, 0.004, 0.004])
 """Of the numbers before any stroke is seen: logarithms of friction and of c, then metres."""
 _OPTIMISER: dict[str, Any] = {"popsize": 8, "maxiter": 40, "tol": 1e-4, "polish": False, "rng": 0}
@@ -40,16 +43,24 @@ class RigidBody(nn.Module):
     four fifths of the radius of gyration. The paper has no such model.
     """
 
-    learned: ClassVar[dict[str, tuple[int, ...]]] = {"edges": (0, 4), "shape": (0, 2), "numbers": (5,)}
-    """Arrays that are learned, and their shapes; 0 for as many as there are."""
+    learned: ClassVar[dict[str, tuple[int, ...]]] = {
+        "edges": (0, 4),
+        "shape": (0, 2),
+        "numbers": (5,),
+        "others": (0, 5),
+    }
+    """Arrays that are learned, and their shapes; 0 for as many as there are. Earlier models have no `others`."""
 
     def __init__(self, params: RigidParams):
         super().__init__()
         self.params = params
+        self.ended: list[tuple[str, float]] = []
+        """Where in its range the fit of each number ended: 0 in the middle, 1 at a bound."""
         for name, shape in self.learned.items():
             self.register_buffer(name, torch.zeros(shape))
 
     def _load_from_state_dict(self, state_dict: dict, prefix: str, *rest: Any) -> None:
+        state_dict.setdefault(f"{prefix}others", self.others)
         for name, shape in self.learned.items():
             if 0 in shape and prefix + name in state_dict:
                 setattr(self, name, torch.empty_like(state_dict[prefix + name]))
@@ -100,14 +111,22 @@ class RigidBody(nn.Module):
         if not self.params.fit:
             return
 
+        tried: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
         def cost(x: np.ndarray) -> np.ndarray:
-            errors = self._errors(_numbers(x.T), *scene).double().mean(1).numpy()
-            return len(scene[0]) * np.log(errors) + np.log1p(((x.T - middle) / _SPREAD) ** 2).sum(1)
+            errors = self._errors(_numbers(x.T), *scene).double().numpy()
+            unlikely = np.log1p(((x.T - middle) / _SPREAD) ** 2).sum(1)
+            tried.append((x.T.copy(), errors, unlikely))
+            return len(scene[0]) * np.log(errors.mean(1)) + unlikely
 
         farthest = np.array([1.5, 0.9, 0.03, 0.6 * gyration, 0.6 * gyration])
         bounds = list(zip(middle - farthest, middle + farthest, strict=True))
         found = differential_evolution(cost, bounds, vectorized=True, updating="deferred", **_OPTIMISER)
         self.numbers = _numbers(found.x[None])[0]
+        shares = np.abs(found.x - middle) / farthest
+        shares[2] = max(shares[2], found.x[2] <= REACH)
+        self.others = _numbers(_redrawn(*(np.concatenate(part) for part in zip(*tried, strict=True))))
+        self.ended = list(zip(_NAMES, shares.tolist(), strict=True))
 
     def _errors(self, numbers: Tensor, poses: Tensor, strokes: Tensor, before: Tensor, after: Tensor) -> Tensor:
         """Mean particle error (m) [K, S] of every stroke [S] under every set of numbers [K, 5]."""
@@ -124,9 +143,30 @@ class RigidBody(nn.Module):
         ends = strokes.ends.flatten(1).to(poses)
         return torch.cat([carry(positions[..., :2], poses, self.moved(poses, ends)), positions[..., 2:]], -1)
 
+    def spread(self, positions: Tensor, strokes: Strokes, rest: Tensor, frame: np.ndarray) -> Tensor:
+        """How far apart [B] (m) particles lie, as a deviation, under the numbers that other draws of strokes would give."""
+        if not len(self.others):
+            return positions.new_zeros(len(positions))
+        sets, count = len(self.others), len(positions)
+        poses = _poses(rest[:, :2], positions[..., :2], frame)
+        ends, numbers = strokes.ends.flatten(1).to(poses), self.others.repeat_interleave(count, 0)
+        moved = push(self.edges, poses.repeat(sets, 1), ends.repeat(sets, 1), numbers).reshape(sets, count, 3)
+        middle, turns = moved[..., :2], moved[..., 2] * self.shape.square().sum(1).mean().sqrt()
+        return (middle.var(0).sum(-1) + turns.var(0)).sqrt()
+
     def moved(self, poses: Tensor, ends: Tensor) -> Tensor:
         """Poses [B, 3] after strokes [B, 4] (m) from poses [B, 3]."""
         return push(self.edges, poses, ends, self.numbers.expand(len(poses), 5))
+
+
+def _redrawn(x: np.ndarray, errors: np.ndarray, unlikely: np.ndarray) -> np.ndarray:
+    """Of candidates [K, 5] those that fit best [`OTHERS`, 5] if the strokes are drawn anew, with errors [K, S] (m).
+
+    A bootstrap without any further fit: what was tried on the way to the best lies close around it.
+    """
+    count = errors.shape[1]
+    draws = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), OTHERS)
+    return x[(count * np.log(errors @ draws.T / count) + unlikely[:, None]).argmin(0)]
 
 
 def _numbers(x: np.ndarray) -> Tensor:

@@ -39,13 +39,15 @@ class Kind:
     """Training steps, at most."""
     real: int
     """Examples of a batch that are real, where there are any."""
+    compared: int
+    """Training steps where it is only compared with other models."""
     loss: Callable[..., Tensor]
     """Of positions that are predicted, true, before, and of the particles that are seen [B, N], each [B]."""
 
 
 KINDS = {
-    "blocks": Kind(check_block, own_block, 600, 3, distance_loss),
-    "ropes": Kind(check_rope, own_rope, 3000, 8, plain_distance),
+    "blocks": Kind(check_block, own_block, 600, 3, 200, distance_loss),
+    "ropes": Kind(check_rope, own_rope, 3000, 8, 600, plain_distance),
 }
 """By family. A rope's springs are further from the truth than a block's numbers: more of what it learns from is real. What
 a rope does that is pushed along itself is rare and goes far, so that there all millimetres count alike."""
@@ -121,7 +123,7 @@ def tuned_steps(prior: Prior, data: Sequences, settings: EGNNParams, seed: int) 
     if count < ENOUGH:
         return settings.steps
     held = np.random.default_rng(seed).permutation(count) % HELD == 0
-    kept, left = (_some(data, chosen) for chosen in (~held, held))
+    kept, left = (some(data, chosen) for chosen in (~held, held))
     own = KINDS[prior.family].own(kept, settings.neighbors, seed)
     trainer = start_tuning(prior, own, kept, left, settings, seed)
     every = max(1, settings.steps // 10)
@@ -143,7 +145,7 @@ def start_tuning(
     return Trainer(told(prior, own.traits), Tuning(data, chunk, neighbors, kind), validation, settings, seed)
 
 
-def _some(data: Sequences, chosen: np.ndarray) -> Sequences:
+def some(data: Sequences, chosen: np.ndarray) -> Sequences:
     """Some of the strokes, with their pairs."""
     pairs = chosen[data.pair_stroke]
     return replace(

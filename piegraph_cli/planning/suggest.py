@@ -1,6 +1,5 @@
 """Which strokes to record next: those whose end a model knows least of, unlike those it has learned from."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,7 +7,7 @@ import numpy as np
 import torch
 
 from piegraph_cli.dynamics.reliability import Calibration
-from piegraph_cli.dynamics.rigid_body import seen_from
+from piegraph_cli.dynamics.sides import on_object
 from piegraph_cli.dynamics.stroke import Foresee, Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.planning.proposals import StrokeSpace
@@ -18,9 +17,6 @@ CANDIDATES = 500
 
 ALIKE = 0.5
 """Strokes whose ends on the object are so far from each other, in sizes of the object, tell three fifths of one another."""
-
-ONE_SIDE = math.pi
-"""Strokes that leave an angle of this or more around the object where none begins come from one side of it."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +31,6 @@ class Suggestions:
     """[n] 0 to 1: how unlike they are to what was recorded, and to those before them."""
     reason: str
     """Where `unsure` is from: `spread`, `expected error` or `motion`."""
-
-
-def on_object(strokes: Strokes, poses: np.ndarray, size: float) -> np.ndarray:
-    """Start, end and mode of strokes [B] as seen from the object at poses [B, 3] (m, rad): [B, 5], in sizes (m) of it."""
-    at, ends = torch.as_tensor(poses), strokes.ends.double()
-    start, end = (seen_from(at, points) / size for points in ends.unbind(1))
-    return np.column_stack([start, end, strokes.mode])
 
 
 def suggest(
@@ -101,17 +90,3 @@ def _alike(strokes: np.ndarray, others: np.ndarray) -> np.ndarray:
     """How much strokes [A, 5] tell of others [B, 5], 0 to 1 [A, B]; those of other modes nothing."""
     apart = np.square(strokes[:, None, :4] - others[None, :, :4]).sum(-1)
     return np.exp(-0.5 * apart / ALIKE**2) * (strokes[:, None, 4] == others[None, :, 4])
-
-
-def untouched(known: np.ndarray) -> tuple[float, float] | None:
-    """The middle (rad, in the object's frame) and width (rad) of the largest angle in which no known stroke begins.
-
-    `known` [K, 5] as `on_object` has them; None where strokes come from all around.
-    """
-    around = np.sort(np.arctan2(known[:, 1], known[:, 0]))
-    gaps = np.diff(np.append(around, around[0] + 2 * math.pi))
-    widest = int(gaps.argmax())
-    if gaps[widest] < ONE_SIDE:
-        return None
-    middle = math.remainder(around[widest] + gaps[widest] / 2, 2 * math.pi)
-    return middle, float(gaps[widest])

@@ -9,13 +9,14 @@ import torch
 from piegraph_cli.dynamics.models import make_foresee
 from piegraph_cli.dynamics.params import split_label, trained_label
 from piegraph_cli.dynamics.rigid_body import body_frame, carry, pose_now
+from piegraph_cli.dynamics.sides import Recorded, open_side
 from piegraph_cli.dynamics.splits import TRAIN
 from piegraph_cli.dynamics.tuning import unseen
 from piegraph_cli.errors import DataError, UsageError, command_line
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.planner import choose_modes, stroke_space
 from piegraph_cli.planning.question import chosen_particles, finite
-from piegraph_cli.planning.suggest import Suggestions, on_object, suggest, untouched
+from piegraph_cli.planning.suggest import Suggestions, suggest
 from piegraph_cli.recording.ground import level, moved
 from piegraph_cli.stages import open_run
 from piegraph_cli.stages.learning import read_sequences
@@ -54,24 +55,18 @@ def suggest_in(folder: Path, label: str, state: Path | None, count: int, seed: i
     limit = split_label(label)[2]
     data = read_sequences(run.read("dataset"), TRAIN, limit or None, run.params("train").seeds[0])
     data = unseen(data) if limit == 0 else data
-    shape = np.asarray(data.rest[0], float)
-    shape = shape - [*shape[:, :2].mean(0), 0]
-    size = float(np.sqrt(np.square(shape[:, :2]).sum(1).mean()))
-    before, whole = data.positions[data.strokes[:, 0]], data.whole()
-    frames = [body_frame(rest, shape[:, :2]) for rest in data.rest]
-    poses = np.array([pose_now(data.rest[o], x, frames[o]) for o, x in zip(data.owner, before, strict=True)])
-    poses = poses.reshape(-1, 3)
-    known = on_object(whole, poses, size)
+    past = Recorded.of(data)
     now, rest, warnings = _where(run, model, state)
-    pose = pose_now(rest, now, body_frame(rest, shape[:, :2]))
+    pose = pose_now(rest, now, body_frame(rest, past.shape))
     settings = model.settings
     modes = choose_modes(settings, model.trained.modes, None)
     at_rest = torch.as_tensor(rest, dtype=torch.float32)
     foresee = [make_foresee(one.label, one.trained, at_rest, one.settings) for one in models]
     space = stroke_space(at_rest, settings, modes, settings.pusher_radius)
-    found = suggest(foresee, model.trained.calibration, now, pose, size, space, known, count, seed)
-    past = carry(whole.ends.double(), torch.as_tensor(poses), torch.as_tensor(pose).expand(len(poses), 3)).numpy()
-    return Suggested(found, now, past, len(models), warnings + _gaps(known, pose[2]))
+    found = suggest(foresee, model.trained.calibration, now, pose, past.size, space, past.seen, count, seed)
+    poses, ends = torch.as_tensor(past.poses), data.whole().ends.double()
+    drawn = carry(ends, poses, torch.as_tensor(pose).expand(len(poses), 3)).numpy()
+    return Suggested(found, now, drawn, len(models), warnings + _gaps(past.seen, pose[2]))
 
 
 def _models(run: Run, folder: Path, label: str) -> list[Model]:
@@ -109,12 +104,4 @@ def _gaps(known: np.ndarray, turned: float) -> list[str]:
         return [
             f"learned from {len(known)} strokes: next to nothing is known, and what is suggested is mostly spread out"
         ]
-    gap = untouched(known)
-    if gap is None:
-        return []
-    toward = np.degrees(gap[0] + turned) % 360
-    return [
-        f"all {len(known)} recorded strokes begin on one side of the object, none in the {np.degrees(gap[1]):.0f} degrees "
-        f"around its other side, which now faces {toward:.0f} degrees (from x to y): how it moves when it is pushed from there "
-        "is not determined"
-    ]
+    return open_side(known, turned, "now faces")

@@ -3,7 +3,6 @@
 A unit is a model trained from one seed, `pgnd@20.seed1`; so a larger grid keeps what is done.
 """
 
-import math
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -18,31 +17,20 @@ from piegraph_cli.dynamics.params import (
     split_label,
     trained_label,
 )
-from piegraph_cli.errors import DataError, MissingError, UsageError, command_line
-from piegraph_cli.params import PUSH, validated
+from piegraph_cli.errors import MissingError, UsageError, command_line
+from piegraph_cli.params import validated
 from piegraph_cli.stages.prior import adopted
 from piegraph_cli.text import counted
 from piegraph_cli.workspace.call import Call, Given, Option, options_of
 from piegraph_cli.workspace.stage import Context, Inputs, Output, Stage, Unit
 
 if TYPE_CHECKING:
-    from piegraph_cli.dynamics.examples import Sequences
-    from piegraph_cli.dynamics.rigid_body import RigidBody
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.workspace.artifact import Artifact
     from piegraph_cli.workspace.run import Run
 
-BENT = 0.005
-"""Metres from a rigid motion above which the user of `rigid` is warned."""
-
 RIGID = "; the object moves rigidly: `piegraph train --model rigid` learns that from fewer strokes"
 """Said once, of piegraph."""
-
-STATES = 400
-"""States of the object that tell how large it is, at most."""
-
-FEW = 5
-"""Strokes below which the user is told that they say little."""
 
 RECORDS = 20
 """Losses are noted this many times in the first cycle of a training."""
@@ -188,6 +176,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
+    from piegraph_cli.stages.comparing import advice
+    from piegraph_cli.stages.fitted import about, fit_body
     from piegraph_cli.stages.learning import read_sequences
 
     set_up_torch()
@@ -200,9 +190,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
         raise UsageError("no strokes to learn from", params.label, "only what begins with a prior does without: --from")
     data = read_sequences(inputs["dataset"], TRAIN, count, params.seed)
     network = make_network(name, params.settings, data.picks, params.seed)
-    about = _about(data)
     if isinstance(network, RigidBody):
-        return _fit_body(network, data, about)
+        return fit_body(network, data)
     assert isinstance(params.settings, LearningParams)
     assert learner.examples is not None
     device, settings = choose_device(context.device), params.settings
@@ -211,16 +200,22 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     trainer = Trainer(network, learner.examples(data, settings, device), validation, settings, params.seed, device)
     _fit(trainer, params, context)
     arrays, quality, warnings = _learned(trainer)
-    quality += RIGID if name == "piegraph" and is_rigid(data) else ""
-    return Output(arrays | about, quality, warnings)
+    if name == "piegraph":
+        assert isinstance(settings, EGNNParams)
+        told = advice(data, settings, params.seed, context) if params.label == name else ""
+        quality += told or (RIGID if is_rigid(data) else "")
+    return Output(arrays | about(data), quality, warnings)
 
 
 def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
     """What a prior makes of the dataset's training sequences; of none at all, where the label says @0."""
     import numpy as np
 
+    from piegraph_cli.dynamics.doubts import little_told
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.tuning import KINDS, family_of, start_tuning, tuned_steps, unseen
+    from piegraph_cli.stages.comparing import advice
+    from piegraph_cli.stages.fitted import about
     from piegraph_cli.stages.learning import read_sequences
     from piegraph_cli.stages.prior import read_prior
 
@@ -241,11 +236,10 @@ def _tune(dataset: "Artifact", params: ModelParams, context: Context) -> Output:
     _fit(trainer, params, context)
     arrays, quality, warnings = _learned(trainer)
     quality = quality.replace("examples", "examples and simulated strokes of this object")
-    warnings += own.doubts
-    if 0 < len(data.strokes) < FEW:
-        told = counted(len(data.strokes), "stroke")
-        warnings.append(f"{told} to learn from: friction and pusher are hardly told by them; record {FEW} or more")
-    return Output(arrays | _about(data) | {"prior_simulator": np.array(simulators)}, quality, warnings)
+    if params.label in ("piegraph", "piegraph:prior"):
+        quality += advice(data, settings, params.seed, context)
+    warnings += [*own.doubts, *little_told(data)]
+    return Output(arrays | about(data) | {"prior_simulator": np.array(simulators)}, quality, warnings)
 
 
 def _learned(trainer: "Trainer") -> tuple[dict[str, Any], str, list[str]]:
@@ -264,52 +258,6 @@ def _learned(trainer: "Trainer") -> tuple[dict[str, Any], str, list[str]]:
         return arrays, quality, []
     why = f"did not learn: the loss is not below {static:.4f}, that of nothing moving"
     return arrays, quality, [f"{why}; try more steps (--steps), another learning rate, or more recordings"]
-
-
-def _about(data: "Sequences") -> dict[str, Any]:
-    """What every model keeps of the object and the strokes that it has learned from."""
-    import numpy as np
-
-    from piegraph_cli.physics.particles import Sizes
-
-    return {
-        "particles": np.array(data.positions.shape[1]),
-        "modes": np.unique(data.mode) if len(data.mode) else np.array([PUSH]),
-        "pace": np.array(data.pace if len(data.strokes) else 0.0),
-        "rest": data.rest[0],
-        "size": Sizes.of(data.at_rest(STATES) if len(data.strokes) else list(data.rest)).array(),
-    }
-
-
-def _fit_body(body: "RigidBody", data: "Sequences", about: dict[str, Any]) -> Output:
-    """The numbers of a rigid body, fitted at once; a body that bends is told."""
-    import numpy as np
-
-    from piegraph_cli.dynamics.outline import OUTLINE
-    from piegraph_cli.recording.outline import read_outline
-
-    file = body.params.outline
-    try:
-        error, bent = body.fit(data, None if file is None else read_outline(file))
-    except DataError as fault:
-        if fault.where != OUTLINE:
-            raise
-        raise DataError(fault.message, str(file), fault.hint) from None
-    friction, c, reach, *_ = body.numbers.tolist()
-    arrays = {f"weights/{name}": value.numpy() for name, value in body.state_dict().items()}
-    first, last = data.strokes.T
-    static = np.linalg.norm(data.positions[last] - data.positions[first], axis=-1).mean()
-    arrays |= {"step": np.array([1]), "train_loss": np.array([error]), "validation_loss": np.array([math.nan])}
-    arrays |= {"static_loss": np.array(static, np.float64)}
-    quality = f"{error * 100:.2f} cm a stroke on {len(data.strokes)} strokes; friction {friction:.2f}, "
-    of = "outermost particles" if file is None else "outline"
-    quality += f"turning length {c * 1000:.0f} mm, pusher {reach * 1000:.1f} mm from the {of}"
-    warnings = []
-    if bent > BENT:
-        warnings.append(
-            f"particles end {bent * 1000:.0f} mm from a rigid motion: this bends, `rigid` is for what does not"
-        )
-    return Output(arrays | about, quality, warnings)
 
 
 def _fit(trainer: "Trainer", params: ModelParams, context: Context) -> None:

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from piegraph_cli.dynamics.examples import Sequences
+from piegraph_cli.dynamics.models import Trained, make_foresee
 from piegraph_cli.dynamics.outline import laid_on, outline_of
-from piegraph_cli.dynamics.params import RigidParams
+from piegraph_cli.dynamics.params import PredictionParams, RigidParams
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame, is_rigid
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.errors import DataError
@@ -245,3 +246,30 @@ def test_what_is_rigid_is_told_and_nothing_else_is():
     assert not is_rigid(replace(data, positions=still)), "strokes that miss say nothing"
     line = data.positions * np.array([1, 0.02, 1], np.float32)
     assert not is_rigid(replace(data, positions=line, rest=line[::2])), "a rope that stays straight"
+
+
+def test_ends_lie_apart_where_strokes_do_not_tell_and_models_of_before_say_nothing():
+    data, test = pushed([0.3, 0.045, 0.008, 0.0, 0.0], 6), pushed([0.3, 0.045, 0.008, 0.0, 0.0], 60, seed=1)
+    noise = np.random.default_rng(0).normal(0, 0.002, (len(data.strokes), 1, 3)).astype(np.float32)
+    ends = data.positions.copy()
+    ends[1::2] += noise  # each stroke ends a little off: other draws give other numbers
+    body = RigidBody(RigidParams())
+    body.fit(replace(data, positions=ends))
+    rest = torch.as_tensor(test.rest[0])
+    at = torch.as_tensor(np.repeat(test.rest[:1], 60, 0))
+    trained = Trained(body, body.params, 0.01, (0,), 60)
+    foresee = make_foresee("rigid", trained, rest, PredictionParams())
+    motion = test.whole().moved(torch.eye(2))
+    found, signs = foresee(at, motion)
+    moved = (found - at).norm(dim=-1).mean(1)
+    torch.testing.assert_close(signs[:, 0], moved)
+    assert (signs[moved < 1e-6, 1] == 0).all(), "what is missed is sure"
+    assert signs[moved > 0.01, 1].median() > 1e-4
+    weights = {name: value for name, value in body.state_dict().items() if name != "others"}
+    before = RigidBody(RigidParams())
+    before.load_state_dict(weights)
+    _, signs = make_foresee("rigid", replace(trained, network=before), rest, PredictionParams())(at, motion)
+    assert (signs[:, 1] == 0).all()
+    torch.testing.assert_close(signs[:, 0], moved)
+    with pytest.raises(RuntimeError, match="numbers"):
+        before.load_state_dict({name: value for name, value in weights.items() if name != "numbers"})

@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from piegraph_cli.dynamics.reliability import Calibration
+from piegraph_cli.dynamics.sides import on_object, untouched
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import PUSH
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.planner import stroke_space
-from piegraph_cli.planning.suggest import on_object, suggest, untouched
+from piegraph_cli.planning.suggest import suggest
 
 GRID = np.stack(np.meshgrid(np.linspace(-0.05, 0.05, 7), np.linspace(-0.05, 0.05, 7)), -1).reshape(-1, 2)
 STATE = np.column_stack([GRID, np.full(len(GRID), 0.01)]).astype(np.float32)

@@ -151,23 +151,24 @@ def _described(group: "h5py.Group", name: str, where: str, hint: str) -> Found:
     import h5py
 
     dataset = h5py.Dataset(h5py.h5d.open(group.id, name.encode()))
-    kept = dataset.id.get_create_plist()
+    kept, space = dataset.id.get_create_plist(), dataset.id.get_space()
     layout = kept.get_layout()
     if layout == h5py.h5d.VIRTUAL or kept.get_external_count():
         raise DataError("takes its data from other files", where, hint)
-    space = dataset.id.get_space()
     if space.get_simple_extent_type() == h5py.h5s.NULL:
         raise DataError("is empty", where, hint)
     if space.get_simple_extent_ndims() > MOST_DIMENSIONS:
         raise DataError(f"has {space.get_simple_extent_ndims()} axes", where, hint)
-    if dataset.dtype.kind not in "fiubS":
-        raise DataError(f"has a type that is not allowed, {dataset.dtype}", where, hint)
-    found = Found(tuple(int(length) for length in dataset.shape), dataset.dtype, dataset)
+    found = Found(
+        tuple(map(int, space.get_simple_extent_dims())), dataset.dtype, dataset
+    )  # each is made anew when asked
+    if found.dtype.kind not in "fiubS":
+        raise DataError(f"has a type that is not allowed, {found.dtype}", where, hint)
     filters = [kept.get_filter(k)[0] for k in range(kept.get_nfilters())]
     if not set(filters) <= {_DEFLATE, _SHUFFLE, _FLETCHER, _LZF} or len(set(filters)) < len(filters):
         raise DataError(f"is packed in a way that is not read (filters {filters})", where, hint)
     if layout == h5py.h5d.CHUNKED:
-        _check_chunks(dataset, found, where, hint)
+        _check_chunks(dataset, kept.get_chunk(), found, where, hint)
     stored = dataset.id.get_storage_size()
     if stored > 2 * found.nbytes + FREE // RATIO:
         raise DataError(f"has {stored} bytes for {list(found.shape)} of {found.dtype}", where, hint)
@@ -176,9 +177,8 @@ def _described(group: "h5py.Group", name: str, where: str, hint: str) -> Found:
     return found
 
 
-def _check_chunks(dataset: "h5py.Dataset", found: Found, where: str, hint: str) -> None:
+def _check_chunks(dataset: "h5py.Dataset", chunks: tuple[int, ...], found: Found, where: str, hint: str) -> None:
     """Chunks that are not much larger than the dataset, and all there: what is not would be made up of fill values."""
-    chunks = dataset.chunks
     size = found.dtype.itemsize
     for chunk in chunks:
         size *= chunk

@@ -78,12 +78,12 @@ class Attempts:
         writer.prepare(self.base)
         self.before = contents(self.base)
         self.log = work / "calls"
-        for name in ("reference", "again"):
-            done = self.run(self.fresh(name), log=self.log)
+        for name, later in (("again", 86_400), ("reference", 0)):
+            done = self.run(self.fresh(name), log=self.log, clock=later)
             assert done.returncode == 0, (done.stdout, done.stderr)
         self.expected, again = (contents(work / name) for name in ("reference", "again"))
         self.told = {path for path in self.expected if self.expected[path] != again.get(path)}
-        """Files that differ from one time to the next: they have dates in them."""
+        """Files that differ from one day to the next: they have dates in them."""
 
     def fresh(self, name: str) -> Path:
         """A copy of what the command begins with."""
@@ -126,7 +126,10 @@ class Attempts:
         text = done.stderr
         found = [] if done.returncode in (0, 3) else [f"exit code {done.returncode}: {text[-600:]}"]
         found += [f"says {word!r}: {text[-900:]}" for word in ("Traceback", "bug in") if word in text][:1]
-        names = {part for path in paths for part in (Path(path).name, str(Path(path).parent)) if part not in ("", ".")}
+        names = {part for path in map(Path, paths) for part in (path.name, str(path.parent), *_partial(path))} - {
+            "",
+            ".",
+        }
         if done.returncode == 3 and not any(name in text for name in names):
             found.append(f"names none of {sorted(names)}: {text[-600:]}")
         return found
@@ -154,6 +157,11 @@ class Attempts:
                 f"{path} is missing" for path in sorted(self.expected.keys() - now.keys()) if not FREE.search(path)
             ]
         return found
+
+
+def _partial(path: Path) -> list[str]:
+    """The folder that is made whole before it gets its name, of which a file is a part."""
+    return [found[1] for part in path.parts if (found := re.fullmatch(r"\.(.+)\.partial", part))]
 
 
 def contents(folder: Path) -> dict[str, str]:

@@ -18,9 +18,9 @@ import pytest
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.experiments.recipes import with_changes
-from piegraph_cli.files import refused
+from piegraph_cli.files import refused as refused_by
 from piegraph_cli.recording.encoded import MOST_PIXELS, declared_size, decode_image
-from piegraph_cli.recording.layout import write_times
+from piegraph_cli.recording.layout import read_cameras, write_times
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.sequence import read_sequence
 from piegraph_cli.recording.text import MOST_BYTES, parse_number, read_numbers, read_text
@@ -212,6 +212,16 @@ def test_a_camera_of_a_long_name_is_refused_and_files_of_desktops_are_nobodys(tm
     assert len(str(refused.value)) < 400
 
 
+def test_a_wrong_number_of_distortions_is_its_cameras_error(tmp_path):
+    recording = make_recording(tmp_path / "rec", 1)
+    file = json.loads((recording / "cameras.json").read_text())
+    file["cameras"]["left cam"]["distortion"] = [0.0] * 7
+    (recording / "cameras.json").write_text(json.dumps(file))
+    with pytest.raises(DataError, match="distortion must be 4, 5, 8, 12 or 14") as refused:
+        read_cameras(recording / "seq 0")
+    assert "camera left cam" in refused.value.where
+
+
 def test_times_from_a_pipe_are_refused(tmp_path):
     recording, camera = make_recording(tmp_path / "rec", 1), make_cameras()[0]
     path = recording / "seq 0" / camera.name / "timestamps.txt"
@@ -316,12 +326,12 @@ def test_a_request_of_a_number_without_end_is_refused(tmp_path):
     ],
 )
 def test_what_a_file_system_refuses_is_no_bug(number, code, said):
-    told = refused(OSError(number, os.strerror(number), "x" * 300), "here")
+    told = refused_by(OSError(number, os.strerror(number), "x" * 300), "here")
     assert told.exit_code == code
     assert said in told.message
-    assert refused(OSError(number, os.strerror(number)), "here").where == "here"
-    assert refused(OSError(errno.ENOENT, "No such file"), "here") is None
-    assert refused(ValueError("another"), "here") is None
+    assert refused_by(OSError(number, os.strerror(number)), "here").where == "here"
+    assert refused_by(OSError(errno.ENOENT, "No such file"), "here") is None
+    assert refused_by(ValueError("another"), "here") is None
 
 
 def test_a_name_that_is_too_long_is_said(tmp_path):

@@ -2,11 +2,11 @@
 
 From Python: open a run, read its artifacts, load a model, predict, look, plan, track clouds (docs/python.md). Each name is
 imported when it is first used, so that the command line answers at once.
+
+Nothing is imported here, not even of Python's own: until the program takes signals, Ctrl-C is a traceback of Python's.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from piegraph_cli.capture.live import open_cameras as open_cameras
     from piegraph_cli.dynamics.stroke import Strokes as Strokes
@@ -60,7 +60,9 @@ _FACE = {
 __all__ = sorted([*_FACE, "__version__"])
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    from importlib import import_module
+
     if name not in _FACE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_FACE[name]}"), name)

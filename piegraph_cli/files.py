@@ -6,11 +6,27 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from piegraph_cli.errors import DataError
+from piegraph_cli.errors import DataError, PiegraphError, UsageError
 
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}
 """How a file system says that nothing more can be written: full, without inodes too, beyond a quota or a limit, read-only."""
 MAKE_ROOM = "free disk space or check permissions, then rerun"
+NOT_OURS = {errno.EACCES, errno.EPERM, errno.ELOOP, errno.EIO, errno.ESTALE}
+"""How it says that a file is there and cannot be used: no right to, links round and round, a disk or a server that fails."""
+
+
+def refused(error: Exception, where: str) -> PiegraphError | None:
+    """What people can mend about an error that nobody foresaw, of a file without another name `where`; else None."""
+    if not isinstance(error, OSError):
+        return None
+    file = str(error.filename or where)
+    if error.errno in NO_SPACE:
+        return DataError(f"cannot be written: {error}", file, MAKE_ROOM)
+    if error.errno in NOT_OURS:
+        return DataError(f"cannot be used: {error.strerror}", file, "give yourself the right to it; look at the disk")
+    if error.errno == errno.ENAMETOOLONG:
+        return UsageError(f"cannot be a file: {error.strerror}", f"{file:.80}", "a shorter name")
+    return None
 
 
 @contextlib.contextmanager

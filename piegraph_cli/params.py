@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from piegraph_cli.errors import UsageError
 
@@ -98,8 +98,25 @@ def mode_word(number: int) -> str:
     return words[number] if 0 <= number < len(words) else f"mode {number}"
 
 
+LARGEST = 2**63 - 1
+"""Of whole numbers: what TOML and arrays can hold; Python refuses to write down one of thousands of digits."""
+
+
+def _unfit(value: object) -> str:
+    """Why a value can stand in no recipe, or nothing."""
+    if isinstance(value, dict):
+        return next(filter(None, map(_unfit, (*value, *value.values()))), "")
+    if isinstance(value, (list, tuple)):
+        return next(filter(None, map(_unfit, value)), "")
+    if isinstance(value, (str, Path)) and not str(value).isascii():
+        return (
+            "" if str(value).encode(errors="ignore").decode() == str(value) else f"{str(value)!a:.80} is no UTF-8 text"
+        )
+    return f"more than {LARGEST}" if isinstance(value, int) and abs(value) > LARGEST else ""
+
+
 class Params(BaseModel):
-    """Base of all settings: frozen, unknown keys refused, no NaN or infinity."""
+    """Base of all settings: frozen, unknown keys refused, no NaN or infinity, nothing that no recipe can hold."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -108,6 +125,13 @@ class Params(BaseModel):
 
     later: ClassVar[tuple[str, ...]] = ()
     """Settings that came later: at their defaults they are in no key, so that what was made before stays fresh."""
+
+    @model_validator(mode="after")
+    def _all_fit(self) -> "Params":
+        for name, value in self:
+            if why := _unfit(value):
+                raise ValueError(f"{name}: {why}")
+        return self
 
     def content(self) -> dict[str, Any]:
         """What results depend on, as plain values: these settings without what only says how results are come by."""

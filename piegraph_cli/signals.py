@@ -14,7 +14,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import NoReturn
+
+TYPE_CHECKING = False  # of Python's own: importing it takes as long as all the rest here, and signals come meanwhile
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 SAME = 0.3
@@ -47,7 +50,7 @@ def over() -> None:
     _over = True
 
 
-def leave(code: int) -> NoReturn:
+def leave(code: int) -> "NoReturn":
     """End the process that a signal was to end: what is registered for the end is done, and threads are not waited for.
 
     Python would wait for those of native code; and where an interruption went through `exec`, as in imports, end by SIGINT.

@@ -86,6 +86,15 @@ main()
     assert (ended.returncode, ended.stderr) == (130, "interrupted\n")
 
 
+def test_little_is_imported_before_signals_are_taken():
+    """A signal that comes in between is Python's, with its traceback."""
+    program = (
+        "import sys; before = set(sys.modules); import piegraph_cli.signals; print(*(sys.modules.keys() - before))"
+    )
+    ended = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True, check=True)
+    assert not {"typing", "re", "importlib.util", "pathlib", "logging"} & set(ended.stdout.split())
+
+
 def test_what_is_ignored_stays_ignored():
     program = """
 import signal

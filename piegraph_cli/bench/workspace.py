@@ -1,18 +1,22 @@
-"""Benchmarks of the workspace: `status` and `run` where nothing has changed, on made-up runs of made-up recordings."""
+"""Benchmarks of the workspace: `status` and `run` where nothing has changed, on made-up runs; and reading artifacts."""
 
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
 from piegraph_cli.bench.measure import Row, median_seconds
 from piegraph_cli.errors import DataError
 from piegraph_cli.stages import STAGES
+from piegraph_cli.workspace.artifact import read_artifact, write_artifact
 from piegraph_cli.workspace.execute import Options, run_chain
 from piegraph_cli.workspace.known import TICK
 from piegraph_cli.workspace.recipe import Recipe
@@ -23,6 +27,7 @@ from piegraph_cli.workspace.stage import Stage
 from piegraph_cli.workspace.survey import status
 
 REPEATS = 3
+READINGS = 9
 CAMERAS = 4
 ANY_KEY = "0" * 64
 
@@ -31,7 +36,11 @@ SIZES = {"1000 sequences": (1000, 2, 100), "10 GB recorded": (20, 125, 500_000)}
 
 
 def workspace_rows(sizes: dict[str, tuple[int, int, int]] = SIZES) -> Iterator[Row]:
-    """Seconds in this process, beside those with every file read again; and of the commands, from start to end."""
+    """Seconds in this process, beside those with every file read again; and of the commands, from start to end.
+
+    Before them those of artifacts that are read.
+    """
+    yield from reading_rows()
     for what, (sequences, frames, size) in sizes.items():
         with tempfile.TemporaryDirectory(prefix="piegraph") as folder:
             recording = make_recording(Path(folder) / "recording", sequences, frames, size)
@@ -47,6 +56,47 @@ def workspace_rows(sizes: dict[str, tuple[int, int, int]] = SIZES) -> Iterator[R
             for command in ("status", "run"):
                 seconds = median_seconds(partial(_process, command, run), 1)
                 yield Row("workspace", f"piegraph {command}, {what}", seconds)
+
+
+READ = {"50 tracks of 50 particles": ("tracks", 50, 36, 50), "clouds of 8,000 points": ("clouds", 1, 100, 8000)}
+"""Artifact, how many, frames, and particles or points."""
+
+
+def reading_rows(sizes: dict[str, tuple[str, int, int, int]] = READ) -> Iterator[Row]:
+    """Seconds for artifacts that were not read before, all that is checked included, beside h5py alone."""
+    for what, (name, count, frames, points) in sizes.items():
+        with tempfile.TemporaryDirectory(prefix="piegraph") as folder:
+            paths = [Path(folder) / f"{k}.h5" for k in range(count)]
+            for k, path in enumerate(paths):
+                arrays = _arrays(name, frames, points, np.random.default_rng(k))
+                write_artifact(
+                    path, name, arrays, stage="bench", stage_version=1, key="k", params={}, inputs={}, quality=""
+                )
+            times = [(_seconds(_plainly_read, paths), _seconds(read_artifact, paths)) for _ in range(READINGS)]
+            plain, ours = (statistics.median(of) for of in zip(*times, strict=True))
+            yield Row("workspace", f"read, {what}", ours, reference_seconds=plain)
+
+
+def _arrays(name: str, frames: int, points: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """What an artifact of tracks or clouds holds."""
+    places = rng.normal(0, 0.1, (frames, points, 3))
+    found = {"end_effector": places[:, 0], "contact": np.ones(frames, bool), "time": np.arange(frames) / 10}
+    if name == "clouds":
+        return found | {"points": places.reshape(-1, 3), "offsets": np.arange(frames + 1) * points}
+    alike = {"residual": np.zeros(frames), "visibility": np.ones((frames, points)), "mode": np.zeros(frames)}
+    return found | {"positions": places} | alike
+
+
+def _plainly_read(path: Path) -> list[Any]:
+    with h5py.File(path, "r", locking=False) as file:
+        return [dict(file.attrs), {name: dataset[()] for name, dataset in file.items()}]
+
+
+def _seconds(read: Callable[[Path], Any], paths: list[Path]) -> float:
+    begin = time.perf_counter()
+    for path in paths:
+        read(path)
+    return time.perf_counter() - begin
 
 
 def _status(run: Run, again: bool = False) -> None:

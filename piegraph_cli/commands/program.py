@@ -18,7 +18,7 @@ from piegraph_cli.commands.serve import serve
 from piegraph_cli.commands.stages import stage_commands
 from piegraph_cli.commands.suggest import suggest
 from piegraph_cli.errors import DataError, PiegraphError, UsageError
-from piegraph_cli.files import MAKE_ROOM, NO_SPACE
+from piegraph_cli.files import MAKE_ROOM, NO_SPACE, refused
 from piegraph_cli.signals import stopped
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
@@ -161,8 +161,8 @@ def _ended(arguments: Sequence[str]) -> int:
     except Exception as error:
         if (number := stopped()) is not None:  # whatever the signal was made into on its way
             raise Interrupted(number) from None
-        if isinstance(error, OSError) and error.errno in NO_SPACE:
-            raise DataError(f"cannot be written: {error}", str(error.filename or "output"), MAKE_ROOM) from error
+        if told := refused(error, "output"):
+            raise told from error
         raise
 
 

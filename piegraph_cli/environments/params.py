@@ -223,4 +223,4 @@ class RecordingParams(SequenceParams):
 class SimulateParams(RecordingParams):
     """Settings of `simulate`: true particles of random strokes in a simulated environment."""
 
-    sequences: int = Field(20, ge=1, description="sequences to simulate")
+    sequences: int = Field(20, ge=1, le=100_000, description="sequences to simulate")

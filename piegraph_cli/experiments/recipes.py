@@ -84,8 +84,10 @@ def with_changes(values: dict[str, Any], changes: Sequence[str]) -> dict[str, An
     for text in changes:
         try:
             values = _merge(values, tomllib.loads(text))
-        except tomllib.TOMLDecodeError:
-            raise UsageError(f"cannot read --set {text}", hint="SETTING=VALUE, as in --set trials.seeds=3") from None
+        except (ValueError, RecursionError):  # no TOML, a number of thousands of digits, a depth
+            raise UsageError(
+                f"cannot read --set {text:.80}", hint="SETTING=VALUE, as in --set trials.seeds=3"
+            ) from None
     return values
 
 

@@ -211,8 +211,8 @@ class TrialsParams(EnvironmentParams):
         ("piegraph", "piegraph-ng", "static"),
         description=f"models to compare, of {MODEL_NAMES}; greedy: picks without a model",
     )
-    goals: int = Field(10, ge=1, description="goals per environment")
-    seeds: int = Field(10, ge=1, description="starts per goal")
+    goals: int = Field(10, ge=1, le=1000, description="goals per environment")
+    seeds: int = Field(10, ge=1, le=100, description="starts per goal")
     fixed_goals: bool = Field(False, description=FIXED_GOALS)
     look: Looks = Field("particles", description=LOOK)
     strokes: int = Field(30, ge=1, description="most strokes in one trial")

@@ -99,7 +99,8 @@ def read_cameras(sequence: Path, posed: bool = True) -> list[Camera]:
     unposed = [name for name, entry in entries.items() if entry.T_world_camera is None]
     if posed and unposed:
         raise DataError("T_world_camera is missing", f"{path}, camera {unposed[0]}", "run `piegraph calibrate`")
-    longest = max(5, *(len(entry.distortion) for entry in entries.values()))
+    given = {len(entry.distortion) for entry in entries.values()}
+    longest = max({5} | given & set(COEFFICIENTS))  # another number is its camera's error, not the others'
     return [_camera(name, entry, longest, path) for name, entry in sorted(entries.items())]
 
 

@@ -170,7 +170,7 @@ def read_artifact(
     checked = _checked(path, name, verified)
     if not (verified or probed) and (foreign or not checked):
         probe(path, _copied(name), name=name)
-    with _open(path, name, checked) as (file, attributes):
+    with _open(path, name, checked, cache=0) as (file, attributes):  # each chunk is read once
         name, remake = attributes["artifact"], _remake(path, attributes)
         found, lengths = _structure(file, path, name, remake)
         made = _made(file)

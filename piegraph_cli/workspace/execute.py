@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from piegraph_cli.errors import DataError, InputError, MissingError, PiegraphError, command_line
-from piegraph_cli.files import MAKE_ROOM, NO_SPACE, remove_leftovers
+from piegraph_cli.files import refused, remove_leftovers
 from piegraph_cli.process import out_of_memory, short_of_memory
 from piegraph_cli.signals import go_on
 from piegraph_cli.workspace.artifact import Artifact, read_artifact, read_key, write_artifact
@@ -229,8 +229,8 @@ def _told(error: Exception, run: Run, stage: Stage) -> PiegraphError:
     if out_of_memory(error):
         hint = "fewer --jobs, or end other programs; what is done is kept"
         return MissingError(f"there is not enough memory: {str(error) or type(error).__name__}", stage.name, hint)
-    if isinstance(error, OSError) and error.errno in NO_SPACE:
-        return DataError(f"cannot be written: {error}", str(error.filename or stage.name), MAKE_ROOM)
+    if told := refused(error, stage.name):
+        return told
     bug = PiegraphError(
         f"{type(error).__name__}: {error}", f"bug in {stage.name}", f"the traceback is in {run.folder}/run.log"
     )

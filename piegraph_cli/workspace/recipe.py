@@ -98,7 +98,7 @@ def load_recipe(path: Path, table: Table) -> Recipe:
         sections = tomllib.loads(path.read_text())
     except FileNotFoundError:
         raise DataError("no such recipe", str(path), f"give a .toml file, or one of {', '.join(shipped())}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
+    except (ValueError, OSError, RecursionError) as error:  # no TOML, no text, a number of thousands of digits, a depth
         raise UsageError(f"not a readable TOML file: {error}", str(path)) from None
     recipe = Recipe(table)
     for name, section in sections.items():
@@ -128,15 +128,15 @@ def parse_setting(text: str, table: Table) -> tuple[Stage, str, Any]:
     """`stage.setting=value` with a TOML value; anything that is not TOML is text."""
     place, equals, value = text.partition("=")
     stage, dot, setting = place.strip().partition(".")
+    hint = "use STAGE.SETTING=VALUE, as in --set track.stiffness=0.1 or train.piegraph.steps=500"
     if not equals or not dot or stage not in table:
-        raise UsageError(
-            f"cannot read --set {text}",
-            hint="use STAGE.SETTING=VALUE, as in --set track.stiffness=0.1 or train.piegraph.steps=500",
-        )
+        raise UsageError(f"cannot read --set {text}", hint=hint)
     try:
         return table[stage], setting, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return table[stage], setting, value.strip()
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, a depth
+        raise UsageError(f"cannot read --set {text:.80}: {error}", hint=hint) from None
 
 
 def _validate(stage: Stage, values: Mapping[str, Any], where: str) -> Params:

@@ -59,10 +59,12 @@ class Slices:
         return [value.decode() for value in self[dataset]]
 
     def _read(self, dataset: str, where: "slice | tuple[()]") -> "np.ndarray":
+        import h5py
+
         item = self._found[dataset].item
         assert item is not None
         try:
-            return item[where]
+            return h5py.Dataset(item)[where]
         except (OSError, ValueError, MemoryError) as error:
             raise DataError(f"dataset {dataset} is damaged: {error}", str(self.path), self._hint) from None
 

@@ -1,41 +1,22 @@
-"""What is attacked: artifacts of every kind, files that others write, recordings in every layout, recipes, settings, JSON."""
+"""What is attacked: artifacts of every kind, files that others write, recordings in every layout; and `texts`."""
 
-import functools
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
 
-from piegraph_cli.errors import DataError, PiegraphError
 from piegraph_cli.recording.params import ReadParams
-from piegraph_cli.stages import STAGES
 from piegraph_cli.workspace.artifact import CHECKED_FROM, read_artifact
 from piegraph_cli.workspace.schema import SCHEMAS, field_of
 from tests.attack.engine import Attack
 from tests.attack.hostile import HOSTILE, make_hostile
-from tests.attack.mutators import mutate_array, mutate_bytes, mutate_file_of, mutate_json_text, mutate_text
+from tests.attack.mutators import bytes_of, mutate_array, mutate_file_of, text_of
 from tests.attack.samples import write_sample
+from tests.attack.texts import texts
 from tests.hdf5 import edited, reseal, unsealed
-
-if TYPE_CHECKING:
-    from piegraph_cli.service.service import Service
-
-
-def _of_bytes(path: Path, rng: np.random.Generator) -> str:
-    data, how = mutate_bytes(path.read_bytes(), rng)
-    path.write_bytes(data)
-    return how
-
-
-def _of_text(path: Path, rng: np.random.Generator) -> str:
-    change = mutate_json_text if path.suffix == ".json" else mutate_text
-    text, how = change(path.read_text(), rng)
-    path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    return how
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -108,9 +89,9 @@ def artifacts() -> list[Attack]:
     found = []
     for kind in SCHEMAS:
         make = partial(_make_artifact, kind)
-        found.append(Attack(f"artifact {kind}", make, _of_bytes, _arrays, refused=True))
+        found.append(Attack(f"artifact {kind}", make, bytes_of, _arrays, refused=True))
         found.append(Attack(f"structure of {kind}", make, partial(_of_structure, kind), _arrays))
-        found.append(Attack(f"old {kind}", partial(_make_unsealed, kind), _of_bytes, _arrays))
+        found.append(Attack(f"old {kind}", partial(_make_unsealed, kind), bytes_of, _arrays))
         if kind != "checkpoint":
             found.append(Attack(f"values of {kind}", make, partial(_of_values, kind), _arrays, refused=True))
     return found
@@ -185,13 +166,13 @@ def _read_points(path: Path) -> Any:
 def files_of_others() -> list[Attack]:
     """Point files, motion of others, and a model given as a file."""
     found = [
-        Attack(f"points {s}", partial(_make_points, s), _of_bytes, _read_points)
+        Attack(f"points {s}", partial(_make_points, s), bytes_of, _read_points)
         for s in (".ply", "_.ply", ".npz", ".h5")
     ]
-    found.append(Attack("points text", partial(_make_points, "_.ply"), _of_text, _read_points))
+    found.append(Attack("points text", partial(_make_points, "_.ply"), text_of, _read_points))
     for suffix in (".npz", ".h5", ".csv"):
-        found.append(Attack(f"import {suffix}", partial(_make_motion, suffix), _of_bytes, _read_motion))
-    found.append(Attack("import text", partial(_make_motion, ".csv"), _of_text, _read_motion))
+        found.append(Attack(f"import {suffix}", partial(_make_motion, suffix), bytes_of, _read_motion))
+    found.append(Attack("import text", partial(_make_motion, ".csv"), text_of, _read_motion))
     found.append(Attack("import hostile", partial(_make_motion, ".h5"), _hostile_import, _read_motion))
     found.append(Attack("import episode", _make_episode, mutate_file_of, _read_motion))
     return found
@@ -233,7 +214,7 @@ def _make_bag(suffix: str, folder: Path) -> Path:
 
 
 def _change_bag(path: Path, rng: np.random.Generator) -> str:
-    return _of_bytes(path, rng) if path.is_file() else mutate_file_of(path, rng)
+    return bytes_of(path, rng) if path.is_file() else mutate_file_of(path, rng)
 
 
 def recordings() -> list[Attack]:
@@ -243,145 +224,6 @@ def recordings() -> list[Attack]:
     return found + [
         Attack(f"bag {s}", partial(_make_bag, s), _change_bag, _read_recording) for s in (".bag", ".db3", ".mcap")
     ]
-
-
-RECIPE = """
-[ingest]
-recording = "rec"
-workspace = [-0.5, 0.5, -0.5, 0.5, -0.02, 0.3]
-offsets = { front = 0.1 }
-
-[segment.prompts]
-front = [120, 80, 190, 140]
-
-[segment.points]
-left = [155, 110]
-
-[dataset]
-train = 2
-validation = 1
-
-[train]
-models = ["piegraph", "rigid"]
-seeds = [0, 1]
-
-[train.piegraph]
-steps = 40
-hidden = 8
-
-[evaluate]
-horizons = [1, 2]
-
-[plan]
-env = "tblock"
-samples = 12
-goal_pose = [0.1, 0.2, 0.3]
-"""
-
-
-def _write(name: str, text: str, folder: Path) -> Path:
-    path = folder / name
-    path.write_text(text)
-    return path
-
-
-def _read_recipe(path: Path) -> Any:
-    from piegraph_cli.workspace.recipe import load_recipe
-
-    recipe = load_recipe(path, STAGES)
-    found = [repr(recipe.params(stage)) for stage in recipe.chain()]
-    return "\n".join(found).replace(str(path.parent), "")
-
-
-def _read_settings(path: Path) -> Any:
-    from piegraph_cli.workspace.recipe import Recipe, parse_setting
-
-    recipe = Recipe(STAGES)
-    for line in path.read_bytes().decode("utf-8", "surrogateescape").splitlines():
-        stage, setting, value = parse_setting(line, STAGES)
-        recipe = recipe.with_values(stage, {setting: value}, f"--set {line}", path.parent)
-    return "\n".join(repr(recipe.params(stage)) for stage in recipe.chain()).replace(str(path.parent), "")
-
-
-SETTINGS = (
-    "ingest.recording=rec\ntrack.stiffness=0.1\ntrain.piegraph.steps=500\nplan.samples=12\nevaluate.horizons=[1, 2]\n"
-)
-
-
-def _make_json(kind: str, folder: Path) -> Path:
-    if kind == "cameras":
-        return _make_recording("piegraph", folder).parent / "cameras.json"
-    return _write(f"{kind}.json", json.dumps(JSONS[kind]), folder)
-
-
-CLOUD = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.03], (60, 3)).round(4).tolist()
-JSONS: dict[str, Any] = {
-    "failures": {"track/s": {"key": "k", "message": "why"}},
-    "plan": {"state": CLOUD, "goal_pose": [0.1, 0, 0.5], "candidates": 2, "settings": {"samples": 8, "horizon": 1}},
-    "predict": {
-        "state": CLOUD,
-        "rest": CLOUD,
-        "strokes": [{"start": [-0.2, 0.0], "end": [-0.02, 0.0], "mode": "push"}],
-        "encoding": "base64",
-    },
-}
-
-
-def _read_cameras(path: Path) -> Any:
-    from piegraph_cli.recording.layout import read_cameras
-
-    return [
-        [getattr(c, name) for name in ("name", "width", "height", "K", "distortion")]
-        for c in read_cameras(path.parent / "s")
-    ]
-
-
-@functools.cache
-def _service() -> "Service":
-    """One that has nothing to load, and no cameras."""
-    from piegraph_cli.planning.model import Model
-    from piegraph_cli.planning.params import PlanParams
-    from piegraph_cli.service.service import Service
-
-    return Service(Model("static", None, PlanParams(samples=8, cem_iterations=1)))
-
-
-def _read_request(path: Path) -> Any:
-    """As `piegraph serve` takes it: what it calls a bug is one."""
-    reply = _service().reply(path.read_bytes(), path.stem)
-    told = json.loads(reply.text)
-    if reply.exit_code == PiegraphError.exit_code:
-        raise RuntimeError(told["error"])
-    if reply.exit_code:
-        raise DataError(str(told["error"]))
-    return {name: value for name, value in told["result"].items() if name != "seconds"}
-
-
-def _read_failures(path: Path) -> Any:
-    """As a run reads them, whatever they say: nobody is told of what cannot be read, and nothing stops."""
-    from piegraph_cli.workspace.recipe import Recipe
-    from piegraph_cli.workspace.run import Run
-
-    run = Run(path.parent, Recipe(STAGES, {"simulate": {"sequences": 1}}))
-    return [run.failure(stage, unit) for stage in run.chain for unit in run.units(stage)]
-
-
-def texts() -> list[Attack]:
-    """Recipes, settings of the command line, and JSON."""
-    return [
-        Attack("recipe", partial(_write, "recipe.toml", RECIPE), _of_text, _read_recipe),
-        Attack("settings", partial(_write, "settings.txt", SETTINGS), _of_text, _read_settings),
-        Attack("cameras.json", partial(_make_json, "cameras"), _of_text, _read_cameras),
-        Attack("failures.json", partial(_make_json, "failures"), _of_text, _read_failures),
-        *(Attack(f"request {n}", partial(_make_json, n), _of_text, _read_request) for n in ("plan", "predict")),
-        Attack("splits", partial(_write, "split.csv", "a,train\nb,validation\nc,test\n"), _of_text, _read_split),
-    ]
-
-
-def _read_split(path: Path) -> Any:
-    from piegraph_cli.stages.dataset import _read_split as read_split
-
-    return read_split(path)
 
 
 GROUPS: dict[str, Callable[[], list[Attack]]] = {

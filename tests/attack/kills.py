@@ -49,6 +49,7 @@ class Command:
 
     def __init__(self, arguments: tuple[str, ...], folder: Path, own: bool):
         self.mark, self.folder, self.own = uuid.uuid4().hex, folder, own
+        self.logged = logged(folder)
         for name in ("stdout", "stderr"):
             (folder.parent / name).write_bytes(b"")
         environment = dict(os.environ) | {MARK: self.mark, "OMP_NUM_THREADS": "1"}
@@ -137,10 +138,15 @@ def waited(processes: list[int]) -> float:
 
 
 def early(command: Command, code: int | None, text: str) -> bool:
-    """Whether Python itself was stopped, before a line of piegraph ran."""
-    silent = not (command.folder / "run" / "run.log").exists() and "interrupted" not in text and "ended by" not in text
+    """Whether Python itself was stopped, before piegraph took signals."""
+    silent = logged(command.folder) == command.logged and "interrupted" not in text and "ended by" not in text
     of_python = code in (-signal.SIGTERM, -signal.SIGINT) or (code == 1 and any(word in text for word in BOOTING))
     return command.own and silent and of_python and "piegraph_cli/commands" not in text
+
+
+def logged(folder: Path) -> int:
+    """Bytes that the logs of a folder's runs have."""
+    return sum(path.stat().st_size for path in folder.rglob("run.log"))
 
 
 def fresh(folder: Path, chain: Chain) -> Path:

@@ -28,8 +28,8 @@ ODD_TEXTS = (
     "..",
 )
 ODD_VALUES: tuple[Any, ...] = (
-    None, True, -1, 0, 1e308, float("nan"), 10**400, "", "x" * 300, "../../etc/passwd", "\ud800", [], {}, [[[]]],
-    [None] * 50, {"": 1},
+    None, True, -1, 0, 1e308, float("nan"), 10**400, 10**4000, 10**18, "", "x" * 300, "../../etc/passwd", "\ud800",
+    [], {}, [[[]]], [None] * 50, {"": 1},
 )  # fmt: skip
 
 
@@ -144,6 +144,21 @@ def mutate_json_text(text: str, rng: Rng) -> tuple[str, str]:
     return json.dumps(mutate_json(json.loads(text), rng)), "odd JSON"
 
 
+def bytes_of(path: Path, rng: np.random.Generator) -> str:
+    """Damage the bytes of a file."""
+    data, how = mutate_bytes(path.read_bytes(), rng)
+    path.write_bytes(data)
+    return how
+
+
+def text_of(path: Path, rng: np.random.Generator) -> str:
+    """Damage a file as what it is: JSON, or text."""
+    change = mutate_json_text if path.suffix == ".json" else mutate_text
+    text, how = change(path.read_text(), rng)
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    return how
+
+
 def mutate_array(value: np.ndarray, rng: Rng) -> tuple[np.ndarray, str]:
     """An array with one value, or all of them, odd; or of another shape or type."""
     value, how = np.array(value), _pick(rng, ("one", "one", "all", "zero", "shape", "type", "axis"))
@@ -161,7 +176,7 @@ def mutate_array(value: np.ndarray, rng: Rng) -> tuple[np.ndarray, str]:
     if how == "axis":
         return value[None], "an axis more"
     return (
-        value.astype(_pick(rng, ("<f8", ">f4", "i2", "u1"))) if value.dtype.kind in "fiub" else value[:0]
+        value.astype(_pick(rng, ("<f8", ">f4", "i2", "u1"))) if value.dtype.kind in "fiub" else value.reshape(-1)[:0]
     ), "another type"
 
 

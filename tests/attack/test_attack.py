@@ -1,5 +1,7 @@
 """A short attack of fixed seeds, and cases of what longer ones found."""
 
+import errno
+import json
 import os
 import signal
 import struct
@@ -15,8 +17,10 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError, UsageError
+from piegraph_cli.experiments.recipes import with_changes
+from piegraph_cli.files import refused as refused_by
 from piegraph_cli.recording.encoded import MOST_PIXELS, declared_size, decode_image
-from piegraph_cli.recording.layout import write_times
+from piegraph_cli.recording.layout import read_cameras, write_times
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.sequence import read_sequence
 from piegraph_cli.recording.text import MOST_BYTES, parse_number, read_numbers, read_text
@@ -28,11 +32,12 @@ from piegraph_cli.workspace import probe
 from piegraph_cli.workspace.artifact import read_artifact, read_header
 from piegraph_cli.workspace.recipe import load_recipe
 from piegraph_cli.workspace.schema import SCHEMAS
-from tests.attack import engine
+from tests.attack import engine, texts
 from tests.attack.attacks import GROUPS, motion
 from tests.attack.engine import Attack, Tally, run_attack
 from tests.attack.hostile import HOSTILE, OF_ARTIFACTS, make_hostile
 from tests.attack.samples import arrays_of, write_sample
+from tests.cli import piegraph
 from tests.hdf5 import reseal, unsealed
 from tests.stages.make_recording import make_cameras, make_recording
 
@@ -207,6 +212,16 @@ def test_a_camera_of_a_long_name_is_refused_and_files_of_desktops_are_nobodys(tm
     assert len(str(refused.value)) < 400
 
 
+def test_a_wrong_number_of_distortions_is_its_cameras_error(tmp_path):
+    recording = make_recording(tmp_path / "rec", 1)
+    file = json.loads((recording / "cameras.json").read_text())
+    file["cameras"]["left cam"]["distortion"] = [0.0] * 7
+    (recording / "cameras.json").write_text(json.dumps(file))
+    with pytest.raises(DataError, match="distortion must be 4, 5, 8, 12 or 14") as refused:
+        read_cameras(recording / "seq 0")
+    assert "camera left cam" in refused.value.where
+
+
 def test_times_from_a_pipe_are_refused(tmp_path):
     recording, camera = make_recording(tmp_path / "rec", 1), make_cameras()[0]
     path = recording / "seq 0" / camera.name / "timestamps.txt"
@@ -256,10 +271,71 @@ def test_a_recipe_that_is_no_file_or_without_end_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "deep.toml").write_text("[ingest]\nrecording = " + "[" * 100_000)
     (tmp_path / "null.toml").write_text('[ingest]\nrecording = "a\\u0000b"\n')
+    (tmp_path / "long.toml").write_text(f"[plan]\nsamples = {'9' * 5000}\n")
+    (tmp_path / "latin.toml").write_bytes('[ingest]\nrecording = "\xe4"\n'.encode("latin-1"))
     for name, message in (
         ("pipe.toml", "not a regular file"),
         ("deep.toml", "not a readable TOML file"),
         ("null.toml", "a path that cannot be"),
+        ("long.toml", "not a readable TOML file"),
+        ("latin.toml", "not a readable TOML file"),
     ):
         with pytest.raises(UsageError, match=message):
             load_recipe(tmp_path / name, STAGES)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"plan.samples={'9' * 5000}", "cannot read --set plan.samples"),
+        (f"evaluate.horizons={'[' * 3000}", "cannot read --set evaluate.horizons"),
+        (f"plan.samples={'9' * 4000}", "samples: more than 9223372036854775807"),
+        (f"train.piegraph.seeds=[{'9' * 4000}]", "train"),
+        (f"trials.models={'9' * 20}", "trials.models"),
+        ("ingest.recording=rec\udcff", "no UTF-8 text"),
+        ("dataset.test_names=a,\udcff", "no UTF-8 text"),
+        ("simulate.sequences=100000000", "simulate.sequences"),
+        ("trials.goals=100000000", "trials.goals"),
+    ],
+)
+def test_settings_that_no_recipe_can_hold(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        texts.settled([text], tmp_path)
+
+
+def test_an_experiment_is_changed_by_what_can_be_read():
+    for text in ("trials.seeds=" + "9" * 5000, "trials.seeds=" + "[" * 3000, "trials.seeds"):
+        with pytest.raises(UsageError, match=r"cannot read --set trials\.seeds"):
+            with_changes({}, [text])
+
+
+def test_a_request_of_a_number_without_end_is_refused(tmp_path):
+    request = tmp_path / "plan.json"
+    request.write_text(json.dumps(texts.JSONS["plan"] | {"settings": {"samples": 10**4000}}))
+    with pytest.raises(DataError, match="more than 9223372036854775807"):
+        texts.read_request(request)
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [
+        (errno.EACCES, 3, "cannot be used: Permission denied"),
+        (errno.EIO, 3, "cannot be used: Input/output error"),
+        (errno.ENAMETOOLONG, 2, "cannot be a file"),
+        (errno.ENOSPC, 3, "cannot be written"),
+    ],
+)
+def test_what_a_file_system_refuses_is_no_bug(number, code, said):
+    told = refused_by(OSError(number, os.strerror(number), "x" * 300), "here")
+    assert told.exit_code == code
+    assert said in told.message
+    assert refused_by(OSError(number, os.strerror(number)), "here").where == "here"
+    assert refused_by(OSError(errno.ENOENT, "No such file"), "here") is None
+    assert refused_by(ValueError("another"), "here") is None
+
+
+def test_a_name_that_is_too_long_is_said(tmp_path):
+    for words in (("status", "--run"), ("ingest", "--run", tmp_path / "run", "--recording")):
+        done = piegraph(*words, "x" * 300, check=2)
+        assert "File name too long" in done.stderr
+        assert "Traceback" not in done.stderr

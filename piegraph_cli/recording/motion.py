@@ -265,7 +265,9 @@ def _completed(
         if contact.astype(bool)[unknown].any():
             frame = int((contact.astype(bool) & unknown).argmax())
             raise DataError("end_effector is not finite where it touches", place(frame), LOST)
-        warnings.append(f"end_effector is not known in {unknown.sum()} of {len(hand)} frames, which count as no contact")
+        warnings.append(
+            f"end_effector is not known in {unknown.sum()} of {len(hand)} frames, which count as no contact"
+        )
     low = float(positions[0, :, 2].min())
     if low > HIGH:
         warnings.append(f"the object lies {low:.2g} m above z = 0: shift z so that the table is 0")

@@ -8,10 +8,11 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.checks import Check, Finding, grouped
-from piegraph_cli.recording.clocks import changes, check_clocks
+from piegraph_cli.recording.clocks import changes, check_clocks, moving
 from piegraph_cli.recording.geometry import View, check_geometry
 from piegraph_cli.recording.ground import upright
 from piegraph_cli.recording.images import ImageStack
+from piegraph_cli.recording.lag import busiest, check_lags, moving_in_depth
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
@@ -52,11 +53,20 @@ def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
 
 
 def _check_clocks(arrays: dict[str, np.ndarray]) -> list[Check]:
+    """Cameras against each other, and each one's depth against its colour."""
     names = [str(name) for name in arrays["camera_name"]]
     color = ImageStack(arrays["color"], arrays["color_offsets"], len(names), "colour")
-    kept = [np.flatnonzero(of_camera >= 0) for of_camera in arrays["source_frame"].T]
-    seen = [changes(color.grey(int(frame), c) for frame in kept[c]) for c in range(len(names))]
-    return check_clocks(names, seen, [arrays["stamp"][kept[c], c] for c in range(len(names))])
+    depth = ImageStack(arrays["depth"], arrays["depth_offsets"], len(names), "depth")
+    seen, times, looked = [], [], []
+    for c, of_camera in enumerate(arrays["source_frame"].T):
+        kept = np.flatnonzero(of_camera >= 0)
+        moved = moving(color.grey(int(frame), c) for frame in kept)
+        seen.append(changes(moved))
+        times.append(arrays["stamp"][kept, c])
+        at = busiest(seen[-1])
+        measured = moving_in_depth((depth.depth(int(f), c) for f in kept[at]), float(arrays["depth_scale"][c]))
+        looked.append((moved[at], measured, times[-1][at]))
+    return check_clocks(names, seen, times) + check_lags(names, *zip(*looked, strict=True))
 
 
 def _chosen(depth: ImageStack) -> list[int]:

@@ -1,5 +1,7 @@
 """What makes particles over time doubtful that are well-formed: points that exchange places, lost markers, other clocks."""
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -7,7 +9,7 @@ from piegraph_cli.recording.timing import COUNTED, COUNTS, LONGEST_GAP, MANY
 
 NEIGHBOURS = 6
 AWAY, NEAR = 0.75, 0.25
-"""Spacings: farther from where its neighbours' motion takes it a particle is elsewhere, nearer to another's place it took that."""
+"""Spacings: farther from where its neighbours take it a particle is elsewhere, nearer to another's place it is there."""
 LEAP = 0.02
 """Metres that a marker leaps to the origin where that stands for a lost one."""
 UNTOUCHED, UNTOUCHED_SHARE = 0.02, 0.3
@@ -24,7 +26,7 @@ def find_exchanged(positions: np.ndarray) -> tuple[int, list[int]] | None:
     if spacing <= 0:
         return None
     near = cKDTree(positions[0]).query(positions[0], k=min(NEIGHBOURS, positions.shape[1] - 1) + 1)[1][:, 1:]
-    for frame, (before, after) in enumerate(zip(positions[:-1], positions[1:], strict=True), 1):
+    for frame, (before, after) in enumerate(pairwise(positions), 1):
         expected = before + np.median((after - before)[near], axis=1)
         elsewhere = np.flatnonzero(np.linalg.norm(after - expected, axis=1) > AWAY * spacing)
         if len(elsewhere) < 2:
@@ -84,7 +86,7 @@ def _doubts_of_motion(positions: np.ndarray, contact: np.ndarray) -> list[str]:
         return [f"no particle moves by more than {STILL * 1000:g} mm"]
     edges = [0, *(np.flatnonzero(np.diff(contact.astype(int))) + 1), len(contact)]
     moved = {True: 0.0, False: 0.0}
-    for first, end in zip(edges[:-1], edges[1:], strict=True):
+    for first, end in pairwise(edges):
         far = np.linalg.norm(positions[end - 1] - positions[first], axis=1).mean()
         moved[bool(contact[first])] += float(far)
     if moved[False] > UNTOUCHED and moved[False] > UNTOUCHED_SHARE * sum(moved.values()):

@@ -14,6 +14,7 @@ from piegraph_cli.recording.ground import upright
 from piegraph_cli.recording.images import ImageStack
 from piegraph_cli.recording.lag import busiest, check_lags, moving_in_depth
 from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.tip import check_tip
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -37,13 +38,27 @@ def check_frames(
         raise _refused(bad, folder)
     found = grouped(checks)
     warnings = [f"geometry: {f.text}" + (f"\n  try: {f.remedy}" if f.remedy else "") for f in found]
+    warnings += _check_tip(arrays, folder)
     word = "; ".join(f"{f.checks[0].verdict}: {f.name} of {', '.join(f.cameras)}" for f in found) or "good"
     return _datasets(checks), word, warnings
 
 
+def _check_tip(arrays: dict[str, np.ndarray], folder: Path) -> list[str]:
+    if "end_effector" not in arrays:
+        return []
+    frames = _frames(arrays, folder)
+    cameras, depth = cameras_of(frames), depth_of(frames)
+    images = [depth.of_camera(c, "depth") for c in range(len(cameras))]
+    return check_tip(arrays["end_effector"], arrays["time"], cameras, images)
+
+
+def _frames(arrays: dict[str, np.ndarray], folder: Path) -> Artifact:
+    return Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+
+
 def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
     """What the checks look at: a few frames of each camera."""
-    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+    frames = _frames(arrays, folder)
     color, depth = color_of(frames), depth_of(frames)
     chosen = _chosen(depth)
     return [

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from piegraph_cli.errors import UsageError
 
@@ -98,10 +98,37 @@ def mode_word(number: int) -> str:
     return words[number] if 0 <= number < len(words) else f"mode {number}"
 
 
+MOST = {"m": 1.0, "s": 30.0}
+"""Lengths and times by their unit beyond which a setting is thousands of what is meant, unless its default is more."""
+FARTHEST = 10.0
+"""Metres (seconds) of a place, one number of several."""
+
+
+def _numbers(value: object) -> list[float]:
+    if isinstance(value, tuple):
+        return [number for part in value for number in _numbers(part)]
+    return [value] if isinstance(value, float) else []
+
+
 class Params(BaseModel):
     """Base of all settings: frozen, unknown keys refused, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _check_units(self) -> "Params":
+        """Refuse lengths, places and times that are thousands of what is meant: millimetres and milliseconds."""
+        for name, field in type(self).model_fields.items():
+            unit = next((u for u in MOST if f"[{u}]" in (field.description or "")), None)
+            value = getattr(self, name)
+            if unit is None or not isinstance(value, (float, tuple)):
+                continue
+            usual = field.default if isinstance(field.default, float) else 0.0
+            most = max(MOST[unit] if field.annotation is float else FARTHEST, usual)
+            far = next((x for x in _numbers(value) if abs(x) > most), None)
+            if far is not None:
+                raise ValueError(f"{name} is in {unit}: {far:g} m{unit} are {far / 1000:g}")
+        return self
 
     query: ClassVar[tuple[str, ...]] = ()
     """Settings that belong together: giving one forgets the others."""
@@ -142,6 +169,9 @@ def validated(params: type[Settings], values: Any, name: str, where: str, hint: 
     except ValidationError as error:
         problem = error.errors()[0]
         setting = ".".join([name, *(str(part) for part in problem["loc"])])
+        if problem["type"] == "missing" and problem["loc"] and isinstance(problem["loc"][-1], int):
+            setting, few = setting.rpartition(".")[0], f"has {problem['loc'][-1]} numbers, more are needed"
+            raise UsageError(f"{setting}: {few}", where, hint) from None
         if problem["type"] != "extra_forbidden":
             message = problem["msg"].removeprefix("Value error, ")
             raise UsageError(f"{setting}: {message}", where, hint) from None

@@ -33,7 +33,8 @@ def check_tip(
     """A warning where tips [F, 3] (m, world) at times [F] (s) are not where depth images [C][F] see something move."""
     frames = np.unique(np.linspace(0, len(times) - 1, min(MOST, len(times))).round().astype(int))
     looks = [
-        (camera, *_near(camera, (images[int(f)] for f in frames))) for camera, images in zip(cameras, depth, strict=True)
+        (camera, *_near(camera, (images[int(f)] for f in frames)))
+        for camera, images in zip(cameras, depth, strict=True)
     ]
     known = np.isfinite(tips).all(1)
     if known.sum() < FEWEST:
@@ -66,9 +67,7 @@ def check_tip(
             f"  try: {'subtract' if late > 0 else 'add'} {abs(late):.1f} s {'from' if late > 0 else 'to'} its times"
         ]
     if given < ABSENT:
-        return [
-            f"{told} only: is it the tip, in the cameras' world, in metres and on their clock?\n  try: {PLACE}"
-        ]
+        return [f"{told} only: is it the tip, in the cameras' world, in metres and on their clock?\n  try: {PLACE}"]
     return []
 
 

@@ -28,8 +28,8 @@ def read_rows(path: Path, columns: str) -> list[list[str]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             text = file.read().replace("\r\r\n", "\r\n")  # of two programs that each end the line
-        head = text.partition("\n")[0]
-        mark = next((mark for mark in ";\t" if mark in head), ",") if "," not in head else ","
+        head = text.split("\n", 2)[:2]
+        mark = next((mark for mark in ";\t" if all(mark in line for line in head)), ",") if "," not in head[0] else ","
         rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True))
     except UnicodeDecodeError as error:
         raise DataError(f"is no text in UTF-8: {error}", str(path), "save it as UTF-8") from None

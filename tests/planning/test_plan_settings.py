@@ -462,7 +462,7 @@ def test_lengths_in_millimetres_are_refused_with_what_they_are_in_metres(setting
 
 
 def test_too_few_numbers_are_counted():
-    with pytest.raises(UsageError, match="plan.goal_pose: has 2 numbers, more are needed"):
+    with pytest.raises(UsageError, match=r"plan\.goal_pose: has 2 numbers, more are needed"):
         validated(PlanParams, {"goal_pose": "0.1,0"}, "plan", "", "")
 
 

@@ -192,7 +192,7 @@ def test_particles_that_change_in_number_are_refused(tmp_path):
         ("time", "t", "has no column time"),
         ("time,", "time,force,", "column 'force' is not known"),
         ("time,", "time,ee_x,", "column 'ee_x' is there twice"),
-        (",", ";", "line 2: has 1 columns, the first line has 34"),
+        (",", ";", "has no column time"),
     ],
 )
 def test_columns_that_are_wrong(tmp_path, old, new, message):
@@ -308,8 +308,8 @@ def test_bending_and_moving_by_whole_spacings_is_no_exchange(tmp_path):
 def test_lost_markers_that_are_written_as_zeros_are_named(tmp_path, name):
     data = motion()
     data[name] = data[name].copy()
-    data[name][6:8, *([3] if name == "particles" else [])] = 0
-    with pytest.raises(DataError, match="frame 6: .* is at 0, 0, 0: was it lost"):
+    (data[name][:, 3] if name == "particles" else data[name])[6:8] = 0
+    with pytest.raises(DataError, match=r"frame 6: .* is at 0, 0, 0: was it lost"):
         read(write(tmp_path, ".npz", data))
 
 

@@ -33,7 +33,7 @@ def told(tips) -> list[str]:
 
 def test_a_tip_that_is_where_something_moves_is_good():
     assert told(path(TIMES)) == []
-    assert told(path(TIMES) + [0.01, 0.01, 0.02]) == []
+    assert told(path(TIMES) + np.array([0.01, 0.01, 0.02])) == []
 
 
 @pytest.mark.parametrize("late", [0.4, -0.6])
@@ -43,7 +43,9 @@ def test_a_clock_that_is_another_is_said_with_the_seconds(late):
     assert ("subtract" if late > 0 else "add") + f" {abs(late):.1f} s" in text
 
 
-@pytest.mark.parametrize("change", [lambda p: p * [-1, -1, 1], lambda p: p[:, [0, 2, 1]], lambda p: p + [0, 0, 0.15]])
+@pytest.mark.parametrize(
+    "change", [lambda p: p * [-1, -1, 1], lambda p: p[:, [0, 2, 1]], lambda p: p + np.array([0, 0, 0.15])]
+)
 def test_another_frame_of_reference_is_said(change):
     (text,) = told(change(path(TIMES)))
     assert "in the cameras' world" in text
@@ -51,6 +53,6 @@ def test_another_frame_of_reference_is_said(change):
 
 def test_what_never_moves_or_is_out_of_all_images_is_said():
     assert told(np.zeros((FRAMES, 3))) == ["the end-effector never moves by more than 10 mm"]
-    (text,) = told(path(TIMES) + [0, 0, 2.0])
+    (text,) = told(path(TIMES) + np.array([0, 0, 2.0]))
     assert "no camera sees" in text
     assert told(np.full((FRAMES, 3), np.nan)) == []

@@ -57,8 +57,11 @@ def check_tip(
     if not np.isfinite(given) and not np.isfinite(shares).any():
         return [f"no camera sees the places where the end-effector moves\n  try: {PLACE}"]
     best = int(np.nanargmax(shares))
-    share, late = float(shares[best]), float(tried[best])
-    given = float(np.nan_to_num(given))
+    return _judged(float(np.nan_to_num(given)), float(shares[best]), float(tried[best]))
+
+
+def _judged(given: float, share: float, late: float) -> list[str]:
+    """A word on a tip that is where something moves in a share of the frames, and with a clock so late (s) in another."""
     told = f"at the end-effector's place something moves in {given:.0%} of the frames"
     if share > SEEN and share > given + GAIN:
         way = "ahead of" if late > 0 else "behind"

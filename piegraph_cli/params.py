@@ -100,6 +100,7 @@ def mode_word(number: int) -> str:
 
 MOST = {"m": 1.0, "s": 30.0}
 """Lengths and times by their unit beyond which a setting is thousands of what is meant, unless its default is more."""
+NUMBERS = (int, float, int | None, float | None)
 FARTHEST = 10.0
 """Metres (seconds) of a place, one number of several."""
 
@@ -115,18 +116,27 @@ class Params(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_words_for_numbers(cls, values: Any) -> Any:
+        """Refuse true and false for numbers: they would count as 1 and 0."""
+        for name, value in values.items() if isinstance(values, dict) else ():
+            field = cls.model_fields.get(name)
+            if isinstance(value, bool) and field is not None and field.annotation in NUMBERS:
+                raise ValueError(f"{name} is {str(value).lower()}: give a number")
+        return values
+
     @model_validator(mode="after")
     def _check_units(self) -> "Params":
         """Refuse lengths, places and times that are thousands of what is meant: millimetres and milliseconds."""
         for name, field in type(self).model_fields.items():
             unit = next((u for u in MOST if f"[{u}]" in (field.description or "")), None)
-            value = getattr(self, name)
+            value, usual = getattr(self, name), field.default
             if unit is None or not isinstance(value, (float, tuple)):
                 continue
-            usual = field.default if isinstance(field.default, float) else 0.0
-            most = max(MOST[unit] if field.annotation is float else FARTHEST, usual)
+            most = MOST[unit] if field.annotation is float else FARTHEST
             far = next((x for x in _numbers(value) if abs(x) > most), None)
-            if far is not None:
+            if far is not None and not (isinstance(usual, float) and usual > most):
                 raise ValueError(f"{name} is in {unit}: {far:g} m{unit} are {far / 1000:g}")
         return self
 

@@ -236,9 +236,9 @@ def _check_motion(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
         raise DataError(message, place(frame + 1), ANEW)
     exchanged = find_exchanged(arrays["positions"].astype(float))
     if exchanged:
-        frame, which = exchanged
-        named = ", ".join(map(str, which[:5])) + (" and more" if len(which) > 5 else "")
-        raise DataError(f"{len(which)} particles take each other's places: {named}", place(frame), ANEW)
+        frame, taken = exchanged
+        named = ", ".join(map(str, taken[:5])) + (" and more" if len(taken) > 5 else "")
+        raise DataError(f"{len(taken)} particles take each other's places: {named}", place(frame), ANEW)
     height = float(np.median(arrays["positions"][..., 2]))
     if height < BELOW:
         message = f"half of the particles lie more than {-height * 1000:.0f} mm below the table z = 0"

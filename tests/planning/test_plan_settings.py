@@ -474,3 +474,8 @@ def test_an_object_far_from_the_table_is_not_planned_for(height, refused):
         return
     with pytest.raises(DataError, match="the table, where no stroke would touch it"):
         chosen_particles(cloud, None, PlanParams(), None, False)
+
+
+def test_true_is_no_number():
+    with pytest.raises(UsageError, match="strokes is true: give a number"):
+        validated(PlanParams, {"strokes": True}, "plan", "", "")

@@ -14,8 +14,8 @@ LEAP = 0.02
 """Metres that a marker leaps to the origin where that stands for a lost one."""
 UNTOUCHED, UNTOUCHED_SHARE = 0.02, 0.3
 """Metres, and a share of all motion, that an object may move while nothing touches it."""
-STILL = 1e-3
-"""Metres: an object that moves less was not moved."""
+STILL, SEVERAL = 1e-3, 8
+"""Metres: an object that moves less was not moved; of fewer frames that may be so."""
 FAST = 3.0
 """Metres a second that no hand that pushes or picks goes."""
 
@@ -82,7 +82,7 @@ def _doubts_of_time(hand: np.ndarray, time: np.ndarray) -> list[str]:
 
 def _doubts_of_motion(positions: np.ndarray, contact: np.ndarray) -> list[str]:
     """Particles that nothing moved, and such as move while nothing touches them."""
-    if float(np.linalg.norm(positions - positions[0], axis=2).max()) < STILL:
+    if len(positions) >= SEVERAL and float(np.linalg.norm(positions - positions[0], axis=2).max()) < STILL:
         return [f"no particle moves by more than {STILL * 1000:g} mm"]
     edges = [0, *(np.flatnonzero(np.diff(contact.astype(int))) + 1), len(contact)]
     moved = {True: 0.0, False: 0.0}

@@ -115,10 +115,47 @@ def _unfit(value: object) -> str:
     return f"more than {LARGEST}" if isinstance(value, int) and abs(value) > LARGEST else ""
 
 
+MOST = {"m": 1.0, "s": 30.0}
+"""Lengths and times by their unit beyond which a setting is thousands of what is meant, unless its default is more."""
+NUMBERS = (int, float, int | None, float | None)
+FARTHEST = 10.0
+"""Metres (seconds) of a place, one number of several."""
+
+
+def _numbers(value: object) -> list[float]:
+    if isinstance(value, tuple):
+        return [number for part in value for number in _numbers(part)]
+    return [value] if isinstance(value, float) else []
+
+
 class Params(BaseModel):
     """Base of all settings: frozen, unknown keys refused, no NaN or infinity, nothing that no recipe can hold."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_words_for_numbers(cls, values: Any) -> Any:
+        """Refuse true and false for numbers: they would count as 1 and 0."""
+        for name, value in values.items() if isinstance(values, dict) else ():
+            field = cls.model_fields.get(name)
+            if isinstance(value, bool) and field is not None and field.annotation in NUMBERS:
+                raise ValueError(f"{name} is {str(value).lower()}: give a number")
+        return values
+
+    @model_validator(mode="after")
+    def _check_units(self) -> "Params":
+        """Refuse lengths, places and times that are thousands of what is meant: millimetres and milliseconds."""
+        for name, field in type(self).model_fields.items():
+            unit = next((u for u in MOST if f"[{u}]" in (field.description or "")), None)
+            value, usual = getattr(self, name), field.default
+            if unit is None or not isinstance(value, (float, tuple)):
+                continue
+            most = MOST[unit] if field.annotation is float else FARTHEST
+            far = next((x for x in _numbers(value) if abs(x) > most), None)
+            if far is not None and not (isinstance(usual, float) and usual > most):
+                raise ValueError(f"{name} is in {unit}: {far:g} m{unit} are {far / 1000:g}")
+        return self
 
     query: ClassVar[tuple[str, ...]] = ()
     """Settings that belong together: giving one forgets the others."""
@@ -166,6 +203,9 @@ def validated(params: type[Settings], values: Any, name: str, where: str, hint: 
     except ValidationError as error:
         problem = error.errors()[0]
         setting = ".".join([name, *(str(part) for part in problem["loc"])])
+        if problem["type"] == "missing" and problem["loc"] and isinstance(problem["loc"][-1], int):
+            setting, few = setting.rpartition(".")[0], f"has {problem['loc'][-1]} numbers, more are needed"
+            raise UsageError(f"{setting}: {few}", where, hint) from None
         if problem["type"] != "extra_forbidden":
             message = problem["msg"].removeprefix("Value error, ")
             raise UsageError(f"{setting}: {message}", where, hint) from None

@@ -203,6 +203,23 @@ def test_what_is_no_file_of_strokes_is_refused(tmp_path):
     assert "no array after" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("start", "end"), "do not move the way they are pushed"),
+        (("before", "after"), "do not move the way"),
+        ((), "0.5"),
+    ],
+)
+def test_strokes_with_arrays_exchanged_or_of_another_frame_are_refused(tmp_path, names, said):
+    with np.load(measured(tmp_path / "one.npz")) as arrays:
+        data = dict(arrays)
+    changes = {name: data[other] for name, other in zip(names, reversed(names), strict=True)}
+    changes |= {} if names else {name: data[name] + [0.0, 0.6] for name in ("start", "end")}
+    with pytest.raises(DataError, match=said):
+        write_strokes(measured(tmp_path / "two.npz", **changes), tmp_path / "out")
+
+
 def test_strokes_are_those_of_the_file_that_is_given_now(tmp_path):
     """Even if that file is older than what was made of another one, or has fewer."""
     write_strokes(measured(tmp_path / "one.npz", strokes=4), tmp_path / "out")

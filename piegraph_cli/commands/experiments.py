@@ -12,7 +12,7 @@ from piegraph_cli.commands import names
 from piegraph_cli.commands.answer import error_object
 from piegraph_cli.commands.options import AsJson, Backend, Device, Jobs, running
 from piegraph_cli.commands.output import Report, emit, logging_to
-from piegraph_cli.errors import DataError, command_line
+from piegraph_cli.errors import DataError, UsageError, command_line
 
 if TYPE_CHECKING:
     from piegraph_cli.experiments.params import ExperimentParams
@@ -123,6 +123,8 @@ def _chosen(
     from piegraph_cli.experiments.recipes import load_experiment
 
     wanted = [experiment] if experiment != "all" else [name for name in names.experiments() if data or name != "pushes"]
+    if data and "pushes" not in wanted:
+        raise UsageError(f"--data is for pushes, not for {experiment}", "piegraph reproduce", "leave --data out")
     of = [env.strip() for env in envs.split(",") if env.strip()]
     given = {"data": data} if data else {}
     return {name: load_experiment(name, quick, changes, of).model_copy(update=given) for name in wanted}

@@ -1,6 +1,7 @@
 """Commands on whole runs: running a recipe, and looking at what came of it."""
 
 import contextlib
+import logging
 import os
 from dataclasses import asdict
 from pathlib import Path
@@ -75,6 +76,12 @@ def _opened(folder: Path, recipe: str | None, changes: list[str], until: str | N
     names = [stage.name for stage in run.recipe.chain()]
     if until is not None and until not in names:
         raise UsageError(f"this recipe has no stage {until}", hint=f"one of {', '.join(names)}")
+    unused = [name for name in run.recipe.sections if not STAGES[name].reads and name not in names]
+    if unused:
+        used = ", ".join(f"[{stage.name}]" for stage in run.chain if not stage.reads)
+        logging.getLogger("piegraph").warning(
+            "[%s] of the recipe makes nothing beside %s: use two runs", unused[0], used
+        )
     for source in run.chain:  # a recording that is not there is said before a folder is made
         _ = source.reads or run.units(source)
     return run, named

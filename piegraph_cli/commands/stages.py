@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from inspect import Signature
 from pathlib import Path
@@ -119,8 +119,9 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
             elif entry.name == ".known.json":  # what was read of files is known there, too, and may change there
                 with contextlib.suppress(OSError):
                     shutil.copyfile(entry, folder / entry.name)
-        with logging_to(folder):
+        with logging_to(folder), _called(folder, run.folder):
             report = _run(stage, open_run(folder, run.recipe), options, run.recipe)
+            report = replace(report, error=_renamed(report.error, folder, run.folder))
             if out is None:
                 logging.getLogger("piegraph").warning("%s: cannot be written, so the answer is not kept", run.folder)
         if out is not None and (folder / written).exists():
@@ -129,6 +130,30 @@ def _run_beside(stage: Stage, run: "Run", options: "Options", out: Path | None) 
     if report.value and stage.name in report.value:
         report.value[stage.name] = str(out) if out else None
     return report
+
+
+@contextlib.contextmanager
+def _called(folder: Path, name: Path) -> Iterator[None]:
+    """While this lasts a folder is called by another name in what is logged: that of the run it stands for."""
+
+    def rename(record: logging.LogRecord) -> bool:
+        record.msg, record.args = record.getMessage().replace(str(folder), str(name)), ()
+        return True
+
+    log = logging.getLogger("piegraph")
+    log.addFilter(rename)
+    try:
+        yield
+    finally:
+        log.removeFilter(rename)
+
+
+def _renamed(error: PiegraphError | None, folder: Path, name: Path) -> PiegraphError | None:
+    """The error with the folder called by another name."""
+    if error is None:
+        return None
+    texts = (text.replace(str(folder), str(name)) for text in (error.message, error.where, error.hint))
+    return type(error)(*texts)
 
 
 def _check_out(out: Path, stage: Stage) -> None:

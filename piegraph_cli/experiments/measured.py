@@ -16,6 +16,10 @@ NAMES = ("before", "after", "start", "end")
 HEIGHT = 0.01
 """Metres above the table of what was measured in the plane."""
 NEEDED = "before and after [S, N, 2 or 3], start and end [S, 2 or 3], metres"
+MOVED, FEW_STROKES, ALONG = 0.005, 5, 0.3
+"""Metres that a stroke has to move the object, strokes that have to, and how far along the push (cosine, median)."""
+AWAY = 0.1
+"""Metres from where its stroke ends to the object, median, at which no pusher touches it."""
 OUTLINE = "outline"
 """Array of corners [K, 2] (m) that a file may have, and the variant of rigid bodies that is given it."""
 
@@ -41,6 +45,7 @@ def write_strokes(file: Path | None, folder: Path) -> None:
         raise DataError("arrays do not belong together", str(file), f"an .npz of {NEEDED}")
     if not len(before):
         raise DataError("holds no stroke", str(file), f"an .npz of {NEEDED}")
+    _check_way(before, after, start, end, str(file))
     for number in range(len(before)):
         _write(
             folder / f"{number:05d}.npz",
@@ -56,6 +61,26 @@ def write_strokes(file: Path | None, folder: Path) -> None:
         _write(_outline_beside(folder), outline=checked_outline(arrays[OUTLINE], str(file)))
     else:
         _outline_beside(folder).unlink(missing_ok=True)
+
+
+def _check_way(before: np.ndarray, after: np.ndarray, start: np.ndarray, end: np.ndarray, where: str) -> None:
+    """Raise `DataError` where objects are not touched, or do not move the way they are pushed: arrays or axes are exchanged."""
+    if len(end) < FEW_STROKES:
+        return
+    away = float(np.median(np.linalg.norm(after - end[:, None], axis=2).min(1)))
+    if away > AWAY:
+        text = f"the pusher ends {away:.2g} m from the object (median of {len(end)} strokes)"
+        raise DataError(text, where, "give both in metres, in one frame of reference")
+    moved, pushed = (after - before).mean(1), end - start
+    lengths = np.linalg.norm(moved, axis=1), np.linalg.norm(pushed, axis=1)
+    with np.errstate(invalid="ignore"):
+        far = (lengths[0] > MOVED) & (lengths[1] > MOVED)
+    if far.sum() < FEW_STROKES:
+        return
+    along = float(np.median((moved * pushed).sum(1)[far] / (lengths[0] * lengths[1])[far]))
+    if along < ALONG:
+        text = f"objects do not move the way they are pushed (cosine {along:.2f}, median of {far.sum()} strokes)"
+        raise DataError(text, where, "are before and after, start and end, or the axes of some exchanged?")
 
 
 def with_outline(params: ExperimentParams, folder: Path) -> ExperimentParams:

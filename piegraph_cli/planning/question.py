@@ -26,6 +26,8 @@ STATE_POINTS = 20_000
 """A cloud of more is thinned to these before particles are chosen among them."""
 HIGH = 0.05
 """Metres above the table at which nothing lies on it."""
+ELSEWHERE = 0.15
+"""Metres from the table at which no stroke touches it: the table, or the frame of the points, is another."""
 PARTICLES = 50
 """Of an object, for models that are not trained."""
 
@@ -184,9 +186,12 @@ def finite(points: object, what: str) -> np.ndarray:
 
 
 def _above_table(cloud: np.ndarray) -> list[str]:
-    """A word on an object [P, 3] (m) that cannot lie on the table."""
+    """A word on an object [P, 3] (m) that cannot lie on the table. Raises `DataError` where it is far from it."""
     low, high = float(cloud[:, 2].min()), float(cloud[:, 2].max())
     if high > 0 and low < HIGH:
         return []
     where = f"{1000 * low:.0f} mm above" if low >= HIGH else f"{-1000 * high:.0f} mm and more below"
+    if max(low, -high) > ELSEWHERE:
+        text = f"the object lies {where} the table, where no stroke would touch it"
+        raise DataError(text, "", "--table HEIGHT says where the table is; or give points in the cameras' world")
     return [f"the object lies {where} the table\n  try: --table HEIGHT, where the table is not at z = 0"]

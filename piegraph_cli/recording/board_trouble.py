@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from piegraph_cli.errors import DataError
 from piegraph_cli.recording.boards import Board, find_markers
 from piegraph_cli.recording.checks import SHARP, sharpness_of
 
@@ -24,6 +25,9 @@ FAMILIES = {
 """OpenCV's dictionaries: those of one family begin alike, and the largest holds the smaller ones."""
 FITS = 0.15
 """Edges of a marker by which markers may lie beside where a board has them."""
+
+MARKER_OFF = 0.8, 1.1
+"""Shares of the size that was said within which markers are seen: blur makes small ones smaller."""
 
 
 def why_not_found(images: Sequence[np.ndarray], board: Board) -> str:
@@ -60,6 +64,28 @@ def more_markers(image: np.ndarray, board: Board) -> str:
         f"marker {max(beyond)} is seen, and {board.columns} x {board.rows} has {board.markers}, from 0 on: "
         "if it is on the board, --columns or --rows is wrong, and so is the origin"
     )
+
+
+def check_marker(image: np.ndarray, board: Board, camera: str) -> None:
+    """Raise `DataError` where a ChArUco board's markers in an RGB image are larger or smaller than was said.
+
+    Corners would be looked for beside where they are, and still be found. Middles of markers do not depend on their size.
+    """
+    import cv2
+
+    found = find_markers(image, board) if board.kind == "charuco" else {}
+    at = _middles(board) if found else {}
+    known = [n for n in found if n in at]
+    if len(known) < 2 * ENOUGH:  # few lie in a row, where nothing tells how large they are
+        return
+    H, _ = cv2.findHomography(np.array([found[n].mean(0) for n in known]), np.array([at[n] for n in known]))
+    if H is None:
+        return
+    placed = cv2.perspectiveTransform(np.array([found[n] for n in known], float), H)
+    edge = float(np.median(np.linalg.norm(placed - np.roll(placed, 1, axis=1), axis=-1)))
+    if not MARKER_OFF[0] < edge / board.marker < MARKER_OFF[1]:
+        message = f"camera {camera}: markers are {edge:.3g} m large beside squares of {board.square:g} m"
+        raise DataError(message, "", f"--marker is {board.marker:g} m: measure a marker with its black border")
 
 
 def never_seen(seen: np.ndarray, board: Board) -> str:
@@ -114,10 +140,7 @@ def _off(found: dict[int, np.ndarray], board: Board) -> float:
     """How far markers lie from where a board has them, median, in edges of a marker."""
     import cv2
 
-    made = board.make()
-    at = {
-        int(n): np.mean(points, 0)[:2] for n, points in zip(np.ravel(made.getIds()), made.getObjPoints(), strict=True)
-    }
+    at = _middles(board)
     if board.kind == "grid" and board.from_below:
         turned = np.arange(board.markers).reshape(board.rows, board.columns)[::-1].ravel()
         at = {int(n): at[k] for k, n in enumerate(turned)}
@@ -131,6 +154,14 @@ def _off(found: dict[int, np.ndarray], board: Board) -> float:
         return np.inf
     placed = cv2.perspectiveTransform(np.array([at[n] for n in known])[None].astype(float), H)[0]
     return float(np.median(np.linalg.norm(placed - seen, axis=1)) / edge)
+
+
+def _middles(board: Board) -> dict[int, np.ndarray]:
+    """Where the board has the middles of its markers [2] (m), by number."""
+    made = board.make()
+    return {
+        int(n): np.mean(points, 0)[:2] for n, points in zip(np.ravel(made.getIds()), made.getObjPoints(), strict=True)
+    }
 
 
 def _other_dictionary(images: Sequence[np.ndarray], board: Board) -> str:

@@ -57,8 +57,8 @@ class Clocks:
         return "bad" if late > OFF[1] and gain > GAIN[1] else "doubtful"
 
 
-def changes(images: Iterable[np.ndarray]) -> np.ndarray:
-    """How much differs from the still scene in each part of grey images uint8 [H, W], float [F, 24]."""
+def moving(images: Iterable[np.ndarray]) -> np.ndarray:
+    """How much differs from the still scene in grey images uint8 [H, W], float32 [F, H', W'], `WIDTH` wide."""
     import cv2
 
     small = []
@@ -66,12 +66,18 @@ def changes(images: Iterable[np.ndarray]) -> np.ndarray:
         size = WIDTH, max(CELLS[1], round(WIDTH * image.shape[0] / image.shape[1]))
         small.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     grey = np.stack(small).astype(np.float32)
-    weight = (np.abs(grey - np.median(grey, axis=0)) - FAINT).clip(0, STRONG - FAINT)
-    return np.stack([cv2.resize(one, CELLS, interpolation=cv2.INTER_AREA).ravel() for one in weight]).astype(float)
+    return (np.abs(grey - np.median(grey, axis=0)) - FAINT).clip(0, STRONG - FAINT)
 
 
-def compare_clocks(seen: Sequence[np.ndarray], times: Sequence[np.ndarray]) -> Clocks | None:
-    """The offsets with which the `changes` [F, K] of each camera say most of the others'.
+def changes(moved: np.ndarray) -> np.ndarray:
+    """How much of what is `moving` [F, H', W'] is in each part of the images, float [F, 24]."""
+    import cv2
+
+    return np.stack([cv2.resize(one, CELLS, interpolation=cv2.INTER_AREA).ravel() for one in moved]).astype(float)
+
+
+def compare_clocks(seen: Sequence[np.ndarray], times: Sequence[np.ndarray], most: float = MOST) -> Clocks | None:
+    """The offsets, up to `most` (s), with which the `changes` [F, K] of each camera say most of the others'.
 
     `times` [F] (s) are their time stamps. None for fewer than two cameras, or where too little happens.
     """
@@ -79,7 +85,7 @@ def compare_clocks(seen: Sequence[np.ndarray], times: Sequence[np.ndarray]) -> C
         len(t) < FEWEST or (one.sum(1) > 0.5).sum() < MOVING for one, t in zip(seen, times, strict=True)
     ):
         return None
-    most = min(MOST, MOST_SHARE * min(float(t[-1] - t[0]) for t in times))
+    most = min(most, MOST_SHARE * min(float(t[-1] - t[0]) for t in times))
     tried = np.arange(-round(most / STEP), round(most / STEP) + 1) * STEP
     fits = {
         (a, b): np.array([_fit(seen[a], seen[b], times[a], times[b], late) for late in tried])

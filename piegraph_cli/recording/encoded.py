@@ -8,6 +8,8 @@ MOST_PIXELS = 1 << 26
 """Of one image."""
 MOST_BYTES = 1 << 28
 """Of one image's file."""
+POINTER = b"version https://git-lfs"
+"""How a file begins that Git LFS left in place of the real one."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 
 
@@ -18,6 +20,8 @@ def decode_image(data: "bytes | np.ndarray", flag: int) -> np.ndarray:
     view = memoryview(data)  # type: ignore[arg-type]
     size = declared_size(view)
     if size is None:
+        if bytes(view[: len(POINTER)]) == POINTER:
+            raise ValueError("it is a pointer of Git LFS in place of the file: git lfs pull")
         raise ValueError("it is empty" if not len(view) else "it is neither JPEG nor PNG")
     width, height = size
     if not 0 < width * height <= MOST_PIXELS:
@@ -29,7 +33,7 @@ def decode_image(data: "bytes | np.ndarray", flag: int) -> np.ndarray:
     except cv2.error as error:
         raise ValueError(str(error).strip().splitlines()[0]) from None
     if image is None:
-        raise ValueError("it cannot be decoded")
+        raise ValueError("it is cut off or damaged")
     return image
 
 

@@ -11,7 +11,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
 from piegraph_cli.recording import layout
 from piegraph_cli.recording.axes import Shown
-from piegraph_cli.recording.board_trouble import more_markers, never_seen, why_not_found
+from piegraph_cli.recording.board_trouble import check_marker, more_markers, never_seen, why_not_found
 from piegraph_cli.recording.boards import Board, find_corners
 from piegraph_cli.recording.calibration import (
     FEWEST_CORNERS,
@@ -140,6 +140,7 @@ def _located(shots: Shots, seen: Sightings, found: Solution, board: Board, c: in
             str(shots.files[c][used[0]]),
             "check K and distortion in cameras.json, or find them with --intrinsics; --columns, --rows and a flat board",
         )
+    check_marker(shots.image(c, used[0]), board, given.name)
     warnings = [] if error <= POOR else ["poor: check K and distortion" if not lenses else "poor: is the board flat?"]
     sighted = np.flatnonzero(np.isfinite(found.errors[c])).tolist()
     left = [k for k in sighted if k not in used]

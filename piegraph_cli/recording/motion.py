@@ -15,6 +15,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.params import Mode, mode_number
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.motion_csv import read_csv
+from piegraph_cli.recording.motion_doubts import find_doubts, find_exchanged, find_lost
 from piegraph_cli.recording.motion_episode import is_episode, read_episode
 from piegraph_cli.recording.points import read_arrays
 
@@ -44,6 +45,8 @@ SLOWEST, LONGEST = 1e-3, 60.0
 """A hand slower than this (m/s) at steps of a second and more, or steps longer than this (s), are not in seconds."""
 HIGH = 0.05
 """Metres above z = 0 at which an object does not lie on the table."""
+LOST = "fill gaps of lost markers in, or leave these frames out"
+ANEW = "a particle keeps its index and is the same point throughout; a new file where tracking begins anew"
 
 Reader = Callable[[Path], Mapping[str, np.ndarray]]
 
@@ -177,11 +180,13 @@ def _check_shapes(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
 def _check_numbers(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
     """Refuse what is not finite, and flags that are none."""
     for name, value in arrays.items():
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            frame, *rest = (int(i) for i in np.argwhere(~np.isfinite(value))[0])
+        missing = ~np.isfinite(value) if value.dtype.kind == "f" else np.zeros(value.shape, bool)
+        if name == "end_effector" and (~missing.all(1)).sum() > 1:
+            missing[np.isnan(value).all(1)] = False  # nobody saw it there
+        if missing.any():
+            frame, *rest = (int(i) for i in np.argwhere(missing)[0])
             which = f"particle {rest[0]}" if name in ("positions", "visibility") else NAMES[name][0]
-            hint = "fill gaps of lost markers in, or leave these frames out"
-            raise DataError(f"{which} is not finite", place(frame), hint)
+            raise DataError(f"{which} is not finite", place(frame), LOST)
     for name in FLAGS & arrays.keys():
         value = arrays[name]
         if value.dtype.kind in "US":
@@ -200,7 +205,7 @@ def _check_units(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
     if size > LARGEST or size < SMALLEST:
         unit = "in millimetres? divide by 1000" if size > LARGEST else "in kilometres, or one point many times?"
         raise DataError(f"the object is {size:.3g} m large", place(0), f"write metres ({unit})")
-    away = np.linalg.norm(hand - arrays["positions"].mean(1), axis=1)
+    away = np.nan_to_num(np.linalg.norm(hand - arrays["positions"].mean(1), axis=1))
     if away.max() > LARGEST:
         frame = int(away.argmax())
         message = f"the end-effector is {away[frame]:.3g} m away from the object"
@@ -211,19 +216,29 @@ def _check_units(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
         message = f"time goes from {time[frame - 1]:g} to {time[frame]:g} s"
         raise DataError(message, place(frame), "write rising times, a frame only once; a new file for each recording")
     usual, speeds = float(np.median(steps)), np.linalg.norm(np.diff(hand, axis=0), axis=1) / steps
-    if usual > LONGEST or (usual >= 1 and 0 < np.quantile(speeds, 0.95) < SLOWEST):
-        message = f"frames are {usual:g} s apart, and the hand moves {np.quantile(speeds, 0.95) * 1000:.2g} mm/s"
+    speed = float(np.nan_to_num(np.nanquantile([*speeds, 0.0] if np.isnan(speeds).all() else speeds, 0.95)))
+    if usual > LONGEST or (usual >= 1 and 0 < speed < SLOWEST):
+        message = f"frames are {usual:g} s apart, and the hand moves {speed * 1000:.2g} mm/s"
         raise DataError(message, place(1), "write seconds (in milliseconds? divide by 1000)")
 
 
 def _check_motion(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
-    """Refuse particles that jump or lie below the table."""
+    """Refuse particles that jump, are lost, exchange places or lie below the table."""
+    for name in ("positions", "end_effector"):
+        lost = find_lost(arrays[name])
+        if lost:
+            which = f"particle {lost[1]}" if name == "positions" else NAMES[name][0]
+            raise DataError(f"{which} is at 0, 0, 0: was it lost?", place(lost[0]), LOST)
     moved = np.linalg.norm(np.diff(arrays["positions"].astype(float), axis=0), axis=2)
     if moved.max() > JUMP:
         frame, particle = (int(i) for i in np.argwhere(moved > JUMP)[0])
         message = f"particle {particle} jumps by {moved[frame, particle]:.2g} m"
-        hint = "a particle keeps its index and is the same point throughout; a new file where tracking begins anew"
-        raise DataError(message, place(frame + 1), hint)
+        raise DataError(message, place(frame + 1), ANEW)
+    exchanged = find_exchanged(arrays["positions"].astype(float))
+    if exchanged:
+        frame, taken = exchanged
+        named = ", ".join(map(str, taken[:5])) + (" and more" if len(taken) > 5 else "")
+        raise DataError(f"{len(taken)} particles take each other's places: {named}", place(frame), ANEW)
     height = float(np.median(arrays["positions"][..., 2]))
     if height < BELOW:
         message = f"half of the particles lie more than {-height * 1000:.0f} mm below the table z = 0"
@@ -241,11 +256,18 @@ def _completed(
     """The motion with what the file left out."""
     positions, hand = (np.asarray(arrays[name], np.float32) for name in ("positions", "end_effector"))
     modes, warnings = _modes(arrays.get("mode"), len(hand), mode, place), list(notes)
-    contact = arrays.get("contact")
+    contact, unknown = arrays.get("contact"), np.isnan(hand).any(1)
     if contact is None:
         contact = np.linalg.norm(positions - hand[:, None], axis=2).min(1) <= radius
         if not contact.any():
             warnings.append(f"no contact given, and the hand is never within {radius:g} m of a particle: raise radius")
+    if unknown.any():
+        if contact.astype(bool)[unknown].any():
+            frame = int((contact.astype(bool) & unknown).argmax())
+            raise DataError("end_effector is not finite where it touches", place(frame), LOST)
+        warnings.append(
+            f"end_effector is not known in {unknown.sum()} of {len(hand)} frames, which count as no contact"
+        )
     low = float(positions[0, :, 2].min())
     if low > HIGH:
         warnings.append(f"the object lies {low:.2g} m above z = 0: shift z so that the table is 0")
@@ -254,6 +276,7 @@ def _completed(
         warnings.append(f"the object moves {z:.2g} m in z and {y:.2g} m in y: is y up? z has to point up")
     visibility = np.asarray(arrays.get("visibility", np.ones(positions.shape[:2])), np.float32)
     time, contact = arrays["time"].astype(float), contact.astype(bool)
+    warnings += find_doubts(positions, hand, time, contact)
     return Motion(positions, hand, time, contact, modes, visibility, "contact" in arrays, opening, warnings)
 
 

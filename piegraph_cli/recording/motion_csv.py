@@ -1,6 +1,7 @@
 """Tables of particles over time: a line per frame, columns time, ee_x, ee_y, ee_z[, contact][, mode], p0_x, p0_y, p0_z, ..."""
 
 import csv
+import io
 import re
 from pathlib import Path
 
@@ -13,17 +14,29 @@ from piegraph_cli.recording.text import parse_number
 FIXED = ("time", "ee_x", "ee_y", "ee_z")
 OPTIONAL = ("contact", "mode")
 COLUMNS = "columns time, ee_x, ee_y, ee_z[, contact][, mode], p0_x, p0_y, p0_z, p1_x, ..., with commas between"
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?\s*")
 _PARTICLE = re.compile(r"p(0|[1-9][0-9]*)_([xyz])")
 
 
 def read_rows(path: Path, columns: str) -> list[list[str]]:
-    """The rows of a .csv without empty ones at its end. Raises `DataError`, which names the `columns` to write."""
+    """The rows of a .csv without empty ones at its end. Raises `DataError`, which names the `columns` to write.
+
+    Semicolons and tabs are read too, where the first line has no comma, with commas in numbers, as spreadsheets of many
+    countries write them.
+    """
     check_size(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+            text = file.read().replace("\r\r\n", "\r\n")  # of two programs that each end the line
+        head = text.split("\n", 2)[:2]
+        mark = next((mark for mark in ";\t" if all(mark in line for line in head)), ",") if "," not in head[0] else ","
+        rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True))
+    except UnicodeDecodeError as error:
+        raise DataError(f"is no text in UTF-8: {error}", str(path), "save it as UTF-8") from None
+    except (OSError, csv.Error) as error:
         raise DataError(f"not a readable table: {error}", str(path), f"write {columns}") from None
+    if mark != ",":
+        rows = [[w.replace(",", ".") if _DECIMAL_COMMA.fullmatch(w) else w for w in row] for row in rows]
     while rows and not "".join(rows[-1]).strip():
         rows.pop()
     return rows

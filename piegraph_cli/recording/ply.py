@@ -11,6 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.recording.encoded import POINTER
 
 HEADER_BYTES = 1 << 16
 """A header ends within these first bytes."""
@@ -78,6 +79,8 @@ def _cut(path: Path, why: str) -> DataError:
 
 def _ply_header(head: bytes, path: Path) -> _Header:
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    if head.startswith(POINTER):
+        raise DataError("is a pointer of Git LFS in place of the file", str(path), "git lfs pull")
     if start is None:
         raise DataError("is no PLY file: its first line is not ply", str(path), AGAIN)
     line_end = start[1]

@@ -26,6 +26,8 @@ FREE, RATIO = 1 << 28, 100
 """Bytes that an .npz may unpack to whatever its size, and times its size that it may beyond."""
 FARTHEST = 1e6
 """Metres beyond which a number is no place."""
+EMPTY = 20
+"""So many points at the origin itself are pixels without depth, as other programs write them."""
 
 PER_FRAME = ("time", "mode", "contact", "end_effector", "residual", "visibility")
 PER_POINT = ("colors", "normals")
@@ -63,10 +65,11 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: 
     if not path.is_file():
         message = "is not a regular file" if os.path.lexists(path) else "no such file"
         raise DataError(message, str(path), f"give a file of {names}")
-    if path.suffix not in readers:
+    kind = path.suffix.lower()
+    if kind not in readers:
         suffix = path.suffix or "a file without suffix"
         raise DataError(f"cannot read clouds from {suffix}", str(path), f"use {names}")
-    frames = readers[path.suffix](path)
+    frames = readers[kind](path)
     index = len(frames) - 1 if frame is None else frame
     if not -len(frames) <= index < len(frames):
         raise DataError(f"has {len(frames)} frames, no frame {index}", str(path), "use 0 for the first")
@@ -83,6 +86,12 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: 
         raise DataError(f"none of its {len(points)} points is finite", where, "give another file")
     if not finite.all():  # organised clouds have them where the camera saw nothing
         log.warning("%s: %d of %d points are not finite: left out", where, (~finite).sum(), len(points))
+    empty = finite & (points == 0).all(1)
+    if EMPTY <= empty.sum() < finite.sum():
+        log.warning(
+            "%s: %d of %d points are 0, 0, 0, as pixels without depth are: left out", where, empty.sum(), len(points)
+        )
+        finite &= ~empty
     return points[finite]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.recording.camera import Camera
-from piegraph_cli.recording.clocks import OFF, TOLD, changes, compare_clocks, explained
+from piegraph_cli.recording.clocks import OFF, TOLD, changes, compare_clocks, explained, moving
 from piegraph_cli.recording.end_effector import at_frames
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import layout_of
@@ -93,7 +93,7 @@ def _with_clocks(error: DataError, films: list[Film]) -> DataError:
     for film in films:
         data, offsets = join_images(film.images.color(k) for k in range(len(film.times)))
         stack = ImageStack(data, offsets, 1, "colour")
-        seen.append(changes(stack.grey(k, 0) for k in range(len(stack))))
+        seen.append(changes(moving(stack.grey(k, 0) for k in range(len(stack)))))
     clocks = compare_clocks(seen, [film.times - start for film, start in zip(films, starts, strict=True)])
     if clocks is None or clocks.fit.min() < TOLD:
         return error

@@ -16,6 +16,7 @@ from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, PiegraphError, UsageError, error_object
 from piegraph_cli.params import mode_number, mode_word, validated
 from piegraph_cli.perception.look import LookSettings, look
+from piegraph_cli.planning.expected import check_object
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.question import answer
@@ -114,7 +115,7 @@ class Service:
         if isinstance(request, PlanRequest):
             result, warnings = self._plan(request)
         elif isinstance(request, PredictRequest):
-            result, warnings = self._predict(request), []
+            result, warnings = self._predict(request)
         elif isinstance(request, LookRequest):
             result, warnings, error = self._look(request)
         else:
@@ -158,13 +159,16 @@ class Service:
             raise UsageError(text, "plan.settings", "fewer samples")
         return params
 
-    def _predict(self, request: PredictRequest) -> dict[str, Any]:
+    def _predict(self, request: PredictRequest) -> tuple[dict[str, Any], list[str]]:
         needed, rest = len(request.state), request.rest
         if needed > MOST_PARTICLES or (rest is not None and len(rest) != needed):
             given = f"{needed} particles" + (f" and a rest shape of {len(rest)}" if rest is not None else "")
             raise DataError(
                 given, "predict", f"give the same number, at most {MOST_PARTICLES}; plan takes whole clouds"
             )
+        sizes = self.model.trained.sizes if self.model.trained is not None else None
+        whole = sizes is not None and needed >= self.model.trained.particles  # type: ignore[union-attr]
+        warnings = check_object(request.state, request.state, sizes) if whole else []  # type: ignore[arg-type]
         starts, ends = ([getattr(stroke, end) for stroke in request.strokes] for end in ("start", "end"))
         strokes = Strokes.of(starts, ends, [mode_number(stroke.mode) for stroke in request.strokes])
         begin = time.perf_counter()
@@ -174,7 +178,8 @@ class Service:
                 "the prediction is not finite", "predict", "give particles of an object, some centimetres large"
             )
         seconds = {"predict": time.perf_counter() - begin}
-        return {"predicted": [written(one, request.encoding) for one in after], "units": "m", "seconds": seconds}
+        predicted = [written(one, request.encoding) for one in after]
+        return {"predicted": predicted, "units": "m", "seconds": seconds}, warnings
 
     def _look(self, request: LookRequest) -> tuple[dict[str, Any], list[str], PiegraphError | None]:
         if self.eye is None:

@@ -8,11 +8,13 @@ import numpy as np
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording.checks import Check, Finding, grouped
-from piegraph_cli.recording.clocks import changes, check_clocks
+from piegraph_cli.recording.clocks import changes, check_clocks, moving
 from piegraph_cli.recording.geometry import View, check_geometry
 from piegraph_cli.recording.ground import upright
 from piegraph_cli.recording.images import ImageStack
+from piegraph_cli.recording.lag import busiest, check_lags, moving_in_depth
 from piegraph_cli.recording.params import ReadParams
+from piegraph_cli.recording.tip import check_tip
 from piegraph_cli.stages.images import cameras_of, color_of, depth_of
 from piegraph_cli.workspace.artifact import Artifact
 
@@ -36,13 +38,27 @@ def check_frames(
         raise _refused(bad, folder)
     found = grouped(checks)
     warnings = [f"geometry: {f.text}" + (f"\n  try: {f.remedy}" if f.remedy else "") for f in found]
+    warnings += _check_tip(arrays, folder)
     word = "; ".join(f"{f.checks[0].verdict}: {f.name} of {', '.join(f.cameras)}" for f in found) or "good"
     return _datasets(checks), word, warnings
 
 
+def _check_tip(arrays: dict[str, np.ndarray], folder: Path) -> list[str]:
+    if "end_effector" not in arrays:
+        return []
+    frames = _frames(arrays, folder)
+    cameras, depth = cameras_of(frames), depth_of(frames)
+    images = [depth.of_camera(c, "depth") for c in range(len(cameras))]
+    return check_tip(arrays["end_effector"], arrays["time"], cameras, images)
+
+
+def _frames(arrays: dict[str, np.ndarray], folder: Path) -> Artifact:
+    return Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+
+
 def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
     """What the checks look at: a few frames of each camera."""
-    frames = Artifact(folder, "frames", "", {}, {}, "", arrays | {"camera_name": np.char.encode(arrays["camera_name"])})
+    frames = _frames(arrays, folder)
     color, depth = color_of(frames), depth_of(frames)
     chosen = _chosen(depth)
     return [
@@ -52,11 +68,20 @@ def views_of(arrays: dict[str, np.ndarray], folder: Path) -> list[View]:
 
 
 def _check_clocks(arrays: dict[str, np.ndarray]) -> list[Check]:
+    """Cameras against each other, and each one's depth against its colour."""
     names = [str(name) for name in arrays["camera_name"]]
     color = ImageStack(arrays["color"], arrays["color_offsets"], len(names), "colour")
-    kept = [np.flatnonzero(of_camera >= 0) for of_camera in arrays["source_frame"].T]
-    seen = [changes(color.grey(int(frame), c) for frame in kept[c]) for c in range(len(names))]
-    return check_clocks(names, seen, [arrays["stamp"][kept[c], c] for c in range(len(names))])
+    depth = ImageStack(arrays["depth"], arrays["depth_offsets"], len(names), "depth")
+    seen, times, looked = [], [], []
+    for c, of_camera in enumerate(arrays["source_frame"].T):
+        kept = np.flatnonzero(of_camera >= 0)
+        moved = moving(color.grey(int(frame), c) for frame in kept)
+        seen.append(changes(moved))
+        times.append(arrays["stamp"][kept, c])
+        at = busiest(seen[-1])
+        measured = moving_in_depth((depth.depth(int(f), c) for f in kept[at]), float(arrays["depth_scale"][c]))
+        looked.append((moved[at], measured, times[-1][at]))
+    return check_clocks(names, seen, times) + check_lags(names, *zip(*looked, strict=True))
 
 
 def _chosen(depth: ImageStack) -> list[int]:

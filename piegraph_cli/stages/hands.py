@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from piegraph_cli.errors import DataError
 from piegraph_cli.perception.params import HandsParams
 from piegraph_cli.workspace.stage import Context, Output, Stage
 
@@ -23,6 +24,10 @@ SHALLOW, FEWEST = 0.6, 5
 """Share of a hand's landmarks with a depth below which a camera that saw it in so many frames is named; good ones have
 0.84 and more, unregistered depth 0.1 to 0.7."""
 
+ASKED = 8
+"""Frames of a camera that hardly sees a hand in which its colours are exchanged."""
+BLUE = "red and blue are exchanged: a hand is seen once they are put back"
+WRITE_RGB = "write the colour images again with their channels in order: cv2.imwrite takes BGR"
 BOTH_MOVE = 0.06
 """How far (m) both of two hands must go for the user to be warned."""
 
@@ -48,24 +53,38 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     hands = 2 if _second_hand(images, time, model) else 1
     counted = context.counting(len(cameras) * len(time), "images")
     landmarks = np.stack([detect_hands(counted(of), time, model, hands)[0] for of in images], axis=1)
-    if not np.isfinite(landmarks).any():
-        raise no_hand(frames, params)
+    rates = np.isfinite(landmarks).any((2, 3, 4)).mean(0)
+    blue = ", ".join(
+        c.name for c, of, r in zip(cameras, images, rates, strict=True) if r < POOR and _exchanged(of, model)
+    )
+    if not rates.any():
+        raise DataError(BLUE, f"{frames.path}, {blue}", WRITE_RGB) if blue else no_hand(frames, params)
     each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
     tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
     ways = [travel(end_effector(track.keypoints)) for track in tracks]
     hand = tracks[int(np.argmax(ways))]
-    arrays = {
-        "landmarks": hand.pixels,
-        "seen": hand.seen,
-        "keypoints": hand.keypoints,
-        "end_effector": end_effector(hand.keypoints),
-        "observed": hand.observed,
-        "time": time,
-    }
+    arrays = {"landmarks": hand.pixels, "seen": hand.seen, "keypoints": hand.keypoints}
+    arrays |= {"end_effector": end_effector(hand.keypoints), "observed": hand.observed, "time": time}
     quality, warnings = _told([c.name for c in cameras], hand, ways)
+    warnings += [f"{blue}: {BLUE}\n  try: {WRITE_RGB}"] if blue else []
     if params.source == "auto" and hand.observed.mean() < POOR:
         warnings += completed(arrays, frames, params)
     return Output(arrays, quality, warnings)
+
+
+def _exchanged(images: "CameraImages", model: "Path") -> bool:
+    """Whether a camera shows a hand once red and blue are exchanged, and hardly one as it is."""
+    import numpy as np
+
+    from piegraph_cli.perception.hands import find_hands
+
+    frames = np.unique(np.linspace(0, len(images) - 1, ASKED).round().astype(int))
+    looks = [images[int(frame)] for frame in frames]
+    as_is, other = (
+        int(np.isfinite(find_hands(of, model, 1)[0]).any((1, 2, 3)).sum())
+        for of in (looks, [np.ascontiguousarray(image[..., ::-1]) for image in looks])
+    )
+    return other >= ASKED // 2 and other > 2 * as_is
 
 
 def _told(names: list[str], hand: "HandTrack", ways: list[float]) -> tuple[str, list[str]]:

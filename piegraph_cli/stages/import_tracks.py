@@ -1,5 +1,6 @@
 """Stage `import`: particles over time that others measured, checked, as tracks; a file each, named like it."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,10 +65,16 @@ def _options() -> dict[str, Option]:
 
 
 def _apply(run: "Run", given: Given) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The settings; refused where the run has tracks of its own."""
+    """The settings; refused where the run has tracks of its own, and for sources that there never were."""
+    from piegraph_cli.recording.motion import list_files
+
     own = [name for name in ("ingest", "simulate") if name in run.recipe.sections]
     if own:
         raise UsageError(f"this run has its tracks from {own[0]}", str(run.folder), "give --run another folder")
+    before = {str(source) for source in run.recipe.sections.get(STAGE.name, {}).get("sources", ())}
+    for source in given.get("sources", ()):
+        if not source.exists() and os.path.realpath(source) not in before:
+            list_files(source, READERS)  # says what is wrong with it; one that was imported may be gone
     return dict(given), ()
 
 

@@ -29,5 +29,5 @@ def _frames_of_artifact(path: Path) -> points.Frames:
 
 def read_rest(path: Path) -> np.ndarray | None:
     """The particles [N, 3] (m) of a track's first frame, which are those of all its frames; None for any other file."""
-    found = read_artifact(path, foreign=True) if path.suffix == ".h5" else None
+    found = read_artifact(path, foreign=True) if path.suffix.lower() == ".h5" else None
     return found["positions"][0] if found and found.name == "tracks" else None

@@ -273,6 +273,8 @@ def _attributes(file: "h5py.File", path: Path, name: str | None, checked: bool) 
         message = f"schema version {version} is newer than this piegraph reads ({SCHEMA_VERSION})"
         raise DataError(message, str(path), "update piegraph")
     attributes = {k: attribute(file, k) for k in ("artifact", "key", "stage", "params", "inputs", "quality")}
+    if not known and not any(attributes.values()):
+        raise DataError("is no artifact of piegraph", str(path), "give one, or what holds plain points as .ply or .npz")
     if not known or version < 1 or not all(isinstance(value, str) for value in attributes.values()):
         raise DataError("not an artifact of this version", str(path), "make it again with --force")
     if checked != (version >= CHECKED_FROM):

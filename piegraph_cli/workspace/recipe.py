@@ -95,11 +95,12 @@ def load_recipe(path: Path, table: Table) -> Recipe:
     if path.exists() and not path.is_file():
         raise UsageError("is not a regular file", str(path), "give a .toml file")
     try:
-        sections = tomllib.loads(path.read_text())
+        sections = tomllib.loads(path.read_text("utf-8-sig"))
     except FileNotFoundError:
         raise DataError("no such recipe", str(path), f"give a .toml file, or one of {', '.join(shipped())}") from None
     except (ValueError, OSError, RecursionError) as error:  # no TOML, no text, a number of thousands of digits, a depth
-        raise UsageError(f"not a readable TOML file: {error}", str(path)) from None
+        hint = "texts and paths stand in 'quotes', numbers have a point, a section is there once; save it as UTF-8"
+        raise UsageError(f"not a readable TOML file: {error}", str(path), hint) from None
     recipe = Recipe(table)
     for name, section in sections.items():
         if name not in table or not isinstance(section, dict):

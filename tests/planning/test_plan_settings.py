@@ -9,10 +9,11 @@ import torch
 from piegraph_cli.dynamics.models import sure
 from piegraph_cli.dynamics.params import PredictionParams
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.params import PICK, PUSH
+from piegraph_cli.params import PICK, PUSH, validated
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.proposals import CLEARANCE, DEPTH
+from piegraph_cli.planning.question import chosen_particles
 from piegraph_cli.planning.search import INFEASIBLE, Search
 from piegraph_cli.stages.steps import make_environment
 from tests import strokes as of_strokes
@@ -40,7 +41,7 @@ CHANGES = {
     "noise": (0.3, "later"),
     "strokes": (3, "steps"),
     "state_noise": (0.01, "seen"),
-    "success": (5.0, "steps"),
+    "success": (0.9, "steps"),
     "min_length": (0.05, "candidates"),
     "max_length": (0.1, "candidates"),
     "max_carry": (0.2, "candidates"),
@@ -449,3 +450,32 @@ def test_a_goal_may_be_a_motion_or_a_file(rehearsal, tmp_path):
             plan_stage(**few | wrong)
     with pytest.raises(UsageError, match="--state needs a goal"):
         plan_stage(state=tmp_path / "goals.npz")
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"), [("pusher_radius", 10.0), ("max_length", 140.0), ("keep_out", "300,500,-100,100,0,200")]
+)
+def test_lengths_in_millimetres_are_refused_with_what_they_are_in_metres(setting, value):
+    first = 300 if setting == "keep_out" else value
+    with pytest.raises(UsageError, match=f"{setting} is in m: {first:g} mm are {first / 1000:g}"):
+        validated(PlanParams, {setting: value}, "plan", "", "")
+
+
+def test_too_few_numbers_are_counted():
+    with pytest.raises(UsageError, match=r"plan\.goal_pose: has 2 numbers, more are needed"):
+        validated(PlanParams, {"goal_pose": "0.1,0"}, "plan", "", "")
+
+
+@pytest.mark.parametrize(("height", "refused"), [(0.7, True), (-0.7, True), (0.08, False)])
+def test_an_object_far_from_the_table_is_not_planned_for(height, refused):
+    cloud = np.random.default_rng(0).uniform(0, 0.03, (200, 3)).astype(np.float32) + np.float32([0, 0, height])
+    if not refused:
+        assert "80 mm above the table" in chosen_particles(cloud, None, PlanParams(), None, False)[1][0]
+        return
+    with pytest.raises(DataError, match="the table, where no stroke would touch it"):
+        chosen_particles(cloud, None, PlanParams(), None, False)
+
+
+def test_true_is_no_number():
+    with pytest.raises(UsageError, match="strokes is true: give a number"):
+        validated(PlanParams, {"strokes": True}, "plan", "", "")

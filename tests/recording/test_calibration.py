@@ -185,3 +185,14 @@ def test_depth_is_not_needed(tmp_path, breaks):
         else:
             path.write_bytes(b"no")
     assert not calibrate(folder, (), BOARD).cameras[0].warnings
+
+
+@pytest.mark.parametrize(("marker", "refused"), [(0.03, True), (0.056, True), (0.042, False), (0.048, False)])
+def test_markers_of_another_size_than_was_said_are_refused(tmp_path, marker, refused):
+    folder = recording(tmp_path / "rec", cameras=(0,))
+    said = replace(BOARD, marker=marker)
+    if not refused:
+        calibrate(folder, (), said)
+        return
+    with pytest.raises(DataError, match=r"markers are 0\.04\d* m large beside squares of 0\.06 m"):
+        calibrate(folder, (), said)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.recording.clocks import changes, check_clocks, compare_clocks
+from piegraph_cli.recording.clocks import changes, check_clocks, compare_clocks, moving
 from piegraph_cli.recording.layout import write_cameras, write_frame, write_times
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.sequence import read_sequence
@@ -28,7 +28,7 @@ def path(times):
     return np.stack([np.interp(times, knots, x), np.interp(times, knots, y)], 1)
 
 
-def film(camera, late=0.0, moving=True):
+def film(camera, late=0.0, moves=True):
     """Grey images of one camera, what it shows being so late (s)."""
     rng = np.random.default_rng(camera)
     ground = rng.integers(90, 150, (60, 80)).astype(np.uint8)
@@ -36,14 +36,14 @@ def film(camera, late=0.0, moving=True):
     for place in path(TIMES - late):
         x, y = VIEWS[camera % 3] @ [*place, 1]
         image = ground.copy()
-        if moving:
+        if moves:
             cv2.circle(image, (round(x), round(y)), 9, 30, -1)
         images.append(np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8))
     return images
 
 
 def told(late):
-    seen = [changes(film(k, one)) for k, one in enumerate(late)]
+    seen = [changes(moving(film(k, one))) for k, one in enumerate(late)]
     return check_clocks([f"cam{k}" for k in range(len(late))], seen, [TIMES] * len(late))
 
 
@@ -67,16 +67,16 @@ def test_of_two_cameras_the_second_is_late():
 
 
 def test_where_nothing_or_too_little_moves_nothing_is_told():
-    still = [changes(film(k, moving=False)) for k in range(2)]
+    still = [changes(moving(film(k, moves=False))) for k in range(2)]
     assert compare_clocks(still, [TIMES, TIMES]) is None
-    assert compare_clocks([changes(film(0))], [TIMES]) is None
-    short = [changes(film(k)[:8]) for k in range(2)]
+    assert compare_clocks([changes(moving(film(0)))], [TIMES]) is None
+    short = [changes(moving(film(k)[:8])) for k in range(2)]
     assert compare_clocks(short, [TIMES[:8]] * 2) is None
 
 
 def test_cameras_that_see_different_things_are_not_blamed():
     rng = np.random.default_rng(0)
-    seen = [changes(film(0)), rng.random((FRAMES, 24)) * 30]
+    seen = [changes(moving(film(0))), rng.random((FRAMES, 24)) * 30]
     assert {c.verdict for c in check_clocks(["a", "b"], seen, [TIMES, TIMES])} == {"good"}
 
 

@@ -279,3 +279,69 @@ def test_a_folder_gives_its_files_by_number(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="no file to import"):
         list_files(tmp_path / "empty", READERS)
+
+
+def wandering(**changes):
+    """Ten markers in a row that a hand pushes, in contact where they move."""
+    data = motion()
+    return data | {"contact": (np.arange(FRAMES) >= 4).astype(int)} | changes
+
+
+def test_markers_that_exchange_places_are_named_with_the_frame(tmp_path):
+    particles = motion()["particles"].copy()
+    particles[7:, [2, 5]] = particles[7:, [5, 2]]
+    with pytest.raises(DataError, match=r"frame 7: 2 particles take each other's places: 2, 5"):
+        read(write(tmp_path, ".npz", motion(particles=particles)))
+    rng = np.random.default_rng(0)
+    shuffled = np.stack([one[rng.permutation(COUNT)] for one in motion()["particles"]])
+    with pytest.raises(DataError, match=r"frame \d: .* take each other's places"):
+        read(write(tmp_path, ".npz", motion(particles=shuffled)))
+
+
+def test_bending_and_moving_by_whole_spacings_is_no_exchange(tmp_path):
+    particles = motion()["particles"].copy()
+    particles[..., 0] += np.arange(FRAMES)[:, None] * 0.2 / (COUNT - 1)  # each goes where the next one was
+    assert read(write(tmp_path, ".npz", wandering(particles=particles))).positions.shape == (FRAMES, COUNT, 3)
+
+
+@pytest.mark.parametrize("name", ["particles", "end_effector"])
+def test_lost_markers_that_are_written_as_zeros_are_named(tmp_path, name):
+    data = motion()
+    data[name] = data[name].copy()
+    (data[name][:, 3] if name == "particles" else data[name])[6:8] = 0
+    with pytest.raises(DataError, match=r"frame 6: .* is at 0, 0, 0: was it lost"):
+        read(write(tmp_path, ".npz", data))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"contact": np.arange(FRAMES) < 4}, "the object moves by 0.07 m while nothing touches it, by 0 m in contact"),
+        ({"particles": np.repeat(motion()["particles"][:1], FRAMES, 0)}, "no particle moves by more than 1 mm"),
+        ({"times": np.arange(FRAMES)}, "times are whole numbers, 1 apart: are these frame numbers"),
+        ({"times": np.arange(FRAMES) / 5 / 60}, "are times seconds"),
+        ({"times": np.arange(FRAMES) / 5 + 20 * (np.arange(FRAMES) > 6)}, "times leap 20.2 s ahead at frame 7"),
+    ],
+)
+def test_what_is_well_formed_and_hardly_right_is_said(tmp_path, changes, said):
+    assert read(write(tmp_path, ".npz", wandering())).warnings == []
+    assert said in " ".join(read(write(tmp_path, ".npz", wandering(**changes))).warnings)
+
+
+def test_an_end_effector_that_nobody_saw_does_not_touch(tmp_path):
+    hand = motion()["end_effector"].copy()
+    hand[:3] = np.nan
+    found = read(write(tmp_path, ".npz", motion(end_effector=hand)))
+    assert not found.contact[:3].any()
+    assert "not known in 3 of 12 frames" in found.warnings[0]
+    with pytest.raises(DataError, match="frame 0: end_effector is not finite where it touches"):
+        read(write(tmp_path, ".npz", motion(end_effector=hand, contact=np.ones(FRAMES))))
+
+
+@pytest.mark.parametrize(("mark", "point"), [(";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+def test_tables_of_spreadsheets_of_other_countries_are_read(tmp_path, mark, point):
+    names, rows = table(motion())
+    path = tmp_path / "take.csv"
+    lines = [mark.join(names), *(mark.join(str(value).replace(".", point) for value in row) for row in rows)]
+    path.write_bytes(("\r\r\n".join(lines) + "\r\r\n").encode("utf-8-sig"))
+    np.testing.assert_allclose(read(path).positions, motion()["particles"], atol=1e-6)

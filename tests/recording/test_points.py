@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.recording import points as module
-from piegraph_cli.recording.points import Clouds, read_points
+from piegraph_cli.recording.points import Clouds, read_points, write_points
 
 POINTS = np.random.default_rng(0).normal(size=(60, 3))
 FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
@@ -394,3 +394,15 @@ def test_an_array_of_an_npz_may_be_named(tmp_path):
     for key, message in (("name", r"its array name is float64 \[3\], not points"), ("none", "has no array none")):
         with pytest.raises(DataError, match=message):
             read_points(path, None, {}, key)
+
+
+def test_pixels_without_depth_and_what_git_lfs_left_are_told(tmp_path, caplog):
+    points = np.random.default_rng(0).uniform(0.1, 0.2, (100, 3)).astype(np.float32)
+    path = tmp_path / "cloud.PLY"
+    write_points(tmp_path / "cloud.ply", np.concatenate([points, np.zeros((40, 3), np.float32)]))
+    (tmp_path / "cloud.ply").rename(path)
+    np.testing.assert_array_equal(read_points(path, None, {}), points)
+    assert "40 of 140 points are 0, 0, 0" in caplog.text
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(DataError, match="pointer of Git LFS"):
+        read_points(path, None, {})

@@ -217,3 +217,9 @@ def test_a_recording_is_looked_at_by_its_sequences_alone(tiny_run):
             assert (found["result"], found["error"]["kind"] in ("usage", "data")) == (None, True), name
     with pytest.raises(DataError, match="no such recording"), opened_service(tiny_run, "static", SAMPLE / "nowhere"):
         pass
+
+
+def test_a_prediction_of_another_object_is_refused(service, block):
+    stroke = {"start": [-0.2, 0.0], "end": [-0.02, 0.0]}
+    error = asked(service, "predict", {"state": written(block * 100, "lists"), "strokes": [stroke]})["error"]
+    assert "these are centimetres, not metres" in error["message"]

@@ -207,3 +207,13 @@ def test_shipped_recipes_load():
     assert {"tblock", "demo"} <= set(shipped())
     for name in shipped():
         assert load_recipe(find_recipe(name), STAGES).chain()
+
+
+def test_a_recipe_of_notepad_is_read_and_a_backslash_told(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_bytes('[ingest]\r\nrecording = "rec"\r\n'.encode("utf-8-sig"))
+    assert load_recipe(path, STAGES).sections["ingest"]["recording"].endswith("rec")
+    path.write_text('[ingest]\nrecording = "C:\\Users\\me"\n')
+    with pytest.raises(UsageError, match="not a readable TOML file") as refused:
+        load_recipe(path, STAGES)
+    assert "'quotes'" in refused.value.hint

@@ -137,11 +137,11 @@ class SheetFollower:
         x = self._sane(self._prior(frame, before.x, flow), before.x)
         state = self._state(x)
         for k, surface in enumerate(state.surfaces):
-            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens))
+            shots[k] = completed(shots[k], surface.flat, surface.depth)
         x = self._sane(self._corrected(x, before.x, flow, state, frame, shots), x)
         state, flow = self._state(x), Sums(len(x))
         for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
-            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
+            shots[k] = completed(shots[k], surface.flat, surface.depth, shades)
             self.flow.against(surface, shades, shots[k], self._tells, flow)
         x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))

@@ -209,7 +209,7 @@ class SheetFollower:
 
     def _state(self, x: np.ndarray) -> State:
         normals = self.mesh.normals(x)
-        return State(x, normals, [visible(self.cloth, x, normals, shot.lens) for shot in self.shots])
+        return State(x, normals, visible(self.cloth, x, normals, [shot.lens for shot in self.shots]))
 
     def _corrected(
         self, x: np.ndarray, start: np.ndarray, flow: Sums, state: State, frame: int, shots: list[Shot]

@@ -1,5 +1,6 @@
 """Which part of a sheet each pixel of a camera shows, were the sheet in a given state; sums over such pixels per particle."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -79,11 +80,13 @@ def spread(corners: np.ndarray, weights: np.ndarray, values: np.ndarray) -> np.n
     return sum(shares[:, k] * values.take(corners[:, k], 0) for k in range(3))
 
 
-def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lens: Lens) -> Surface:
-    """What a camera sees of a sheet whose nodes are at x [N, 3] (m), with normals [N, 3]: the nearest layer at each pixel."""
-    mesh, shape = cloth.mesh, (lens.camera.height, lens.camera.width)
-    faces, middle = faces_of(mesh, x, normals, lens), np.ascontiguousarray(x, np.float32)
-    return Surface(*seen(lens.project(faces), faces, middle, mesh.triangles, lens.origin, shape))
+def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lenses: Sequence[Lens]) -> list[Surface]:
+    """What cameras see of a sheet whose nodes are at x [N, 3] (m), with normals [N, 3]: the nearest layer at each pixel."""
+    faces = np.stack([faces_of(cloth.mesh, x, normals, lens) for lens in lenses])
+    projected = np.stack([lens.project(places) for lens, places in zip(lenses, faces, strict=True)])
+    origins, shapes = np.stack([lens.origin for lens in lenses]), [lens.rays.shape[:2] for lens in lenses]
+    middle = np.ascontiguousarray(x, np.float32)
+    return [Surface(*one) for one in seen(projected, faces, middle, cloth.mesh.triangles, origins, shapes)]
 
 
 def length(ways: np.ndarray) -> np.ndarray:

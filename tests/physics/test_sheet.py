@@ -240,7 +240,7 @@ def test_a_pixel_shows_the_nearest_layer():
     folded = mesh.points.copy()
     over = folded[:, 0] > 0
     folded[over] = folded[over] * [-1, 1, 1] + [0, 0, 0.02]
-    seen = visible(Cloth(mesh), folded, mesh.normals(folded), Lens(CAMERAS[0]))
+    seen = visible(Cloth(mesh), folded, mesh.normals(folded), [Lens(CAMERAS[0])])[0]
     left = seen.points[:, 0] < -0.01
     assert over[seen.corners[left]].mean() > 0.9
     assert seen.front[left].mean() < 0.1

@@ -6,7 +6,7 @@ It is what a state is compared with, so that small errors from image to image do
 import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Shot
+from piegraph_cli.physics.sheet_images import Shot, sampled
 from piegraph_cli.physics.sheet_mesh import SheetMesh
 from piegraph_cli.physics.sheet_surface import Surface, spread
 
@@ -78,6 +78,5 @@ class Atlas:
         found, front = np.empty(len(row), np.float32), surface.front[some]
         for face, chosen in ((0, front), (1, ~front)):
             if chosen.any():
-                at = column[chosen, None], row[chosen, None]
-                found[chosen] = cv2.remap(values[face], *at, cv2.INTER_LINEAR, borderValue=np.nan)[:, 0]
+                found[chosen] = sampled(values[face], column[chosen], row[chosen], value=np.nan)
         return found

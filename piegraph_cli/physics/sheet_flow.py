@@ -8,7 +8,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Shot, crop, measured, textured
+from piegraph_cli.physics.sheet_images import Shot, crop, measured, sampled, textured
 from piegraph_cli.physics.sheet_surface import Sums, Surface, length
 
 RETURNS = 1.5
@@ -40,8 +40,8 @@ class Flow:
         there, back = (self.search.calc(a, b, np.zeros((*a.shape, 2), np.float32)) for a, b in ((one, two), (two, one)))
         step = there.reshape(-1, 2).take(pixels[:, 0] * there.shape[1] + pixels[:, 1], 0)
         at = pixels[:, ::-1].astype(np.float32) + step
-        returned = cv2.remap(back, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        sure = length(step + returned[:, 0]) < RETURNS  # not where flow is not finite
+        returned = sampled(back, at[:, 0], at[:, 1], cv2.BORDER_REPLICATE)
+        sure = length(step + returned) < RETURNS  # not where flow is not finite
         return np.where(sure[:, None], at, np.float32(0))[:, ::-1], sure
 
     def onwards(self, surface: Surface, before: Shot, now: Shot, tells: Tells, sums: Sums) -> None:

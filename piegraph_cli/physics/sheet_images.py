@@ -27,6 +27,8 @@ BESIDE = 32
 """Pixels around all that the object ever covers that are looked at."""
 FARTHEST = 20.0
 """Metres: no camera measures beyond."""
+LINE = 1024
+"""Places in a line of what is sampled."""
 FEWEST = 48
 """Pixels that a crop is wide and high at least: flow is looked for in pyramids."""
 
@@ -198,6 +200,17 @@ def measured(shot: Shot, at: np.ndarray, shades: np.ndarray | None = None) -> tu
     below, beside = flat + np.where(row + 1 < height, width, 0), flat + (column + 1 < width)
     ways = here + rest[:, :1] * (rays[below] - here) + rest[:, 1:] * (rays[beside] - here)
     return shot.lens.origin + ways * np.where(valid, reading, np.float32(0))[:, None], valid
+
+
+def sampled(
+    image: np.ndarray, column: np.ndarray, row: np.ndarray, border: int = cv2.BORDER_CONSTANT, value: float = 0.0
+) -> np.ndarray:
+    """What an image [H, W, ...] has at places [P] between its pixels. OpenCV takes no list, of 32,766 at most: a picture."""
+    count = len(column)
+    places = np.zeros((2, max(1, -(-count // LINE)), LINE), np.float32)
+    places.reshape(2, -1)[:, :count] = column, row
+    found = cv2.remap(image, places[0], places[1], cv2.INTER_LINEAR, borderMode=border, borderValue=value)
+    return found.reshape(-1, *found.shape[2:])[:count]
 
 
 def _eroded(mask: np.ndarray, pixels: int) -> np.ndarray:

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Lens, Shot
+from piegraph_cli.physics.sheet_images import Lens, Shot, sampled
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import SheetMesh
 from piegraph_cli.physics.sheet_pixels import seen
@@ -70,7 +69,7 @@ def shades_before(surface: Surface, old: Surface, shot: Shot, faces: np.ndarray)
     at = row * width + column
     shown = (near == column) & (below == row) & (shot.mask.take(at) > 0)
     shown &= (old.owner.take(at) >= 0) & (np.abs(old.along.take(at) - far) < LAYER)
-    shades = cv2.remap(shot.grey, across[:, None], down[:, None], cv2.INTER_LINEAR)[:, 0].astype(np.float32)
+    shades = sampled(shot.grey, across, down).astype(np.float32)
     return np.where(shown, shades, np.float32(np.nan))
 
 

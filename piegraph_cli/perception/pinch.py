@@ -20,6 +20,10 @@ HALF_CLOSED = 0.345
 SPREAD = 0.07
 """How far that ratio typically is from the one of its kind, in one frame."""
 
+OPENS, CLOSES = 1.0, 2.0
+"""What one frame tells at most of an open hand, and of a pinch, in `SPREAD`s: fingertips that hold something are hidden and
+may look apart, those of an open hand hardly ever look closed."""
+
 SWITCH = 2.0
 """What opening or closing must explain, in `SPREAD`s from `HALF_CLOSED`: a frame or two by themselves are errors."""
 
@@ -52,7 +56,7 @@ def pinches(apart: np.ndarray) -> np.ndarray:
 
     Source: Viterbi (1967), two states.
     """
-    evidence = np.where(np.isfinite(apart), ((HALF_CLOSED - apart) / SPREAD).clip(-2, 2), 0.0)
+    evidence = np.where(np.isfinite(apart), ((HALF_CLOSED - apart) / SPREAD).clip(-OPENS, CLOSES), 0.0)
     signed = np.array([-1.0, 1.0]) * evidence[:, None]
     score, came = np.zeros(2), np.zeros((len(apart), 2), np.int64)
     for f, gain in enumerate(signed):

@@ -21,6 +21,8 @@ GREY = 90
 """What is painted where there is nothing to compare."""
 MOST_GAIN = 3.0
 """Contrast of a rendering may be raised by so much, to be that of the image."""
+AROUND, BARE = 22, 8
+"""Pixels around the sheet that flow is told about, and where nothing is painted there."""
 FEWEST = 50
 """Pixels of a rendering that are worth a look."""
 
@@ -32,12 +34,14 @@ class Flow:
     """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
 
     def __init__(self) -> None:
-        self.search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self.there, self.back = (cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM) for _ in range(2))
+        self.back.setVariationalRefinementIterations(0)  # it only has to end near where the other began
 
     def between(self, first: np.ndarray, second: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P]."""
         one, two = np.ascontiguousarray(first), np.ascontiguousarray(second)
-        there, back = (self.search.calc(a, b, np.zeros((*a.shape, 2), np.float32)) for a, b in ((one, two), (two, one)))
+        there = self.there.calc(one, two, np.zeros((*one.shape, 2), np.float32))
+        back = self.back.calc(two, one, np.zeros((*one.shape, 2), np.float32))
         step = there.reshape(-1, 2).take(pixels[:, 0] * there.shape[1] + pixels[:, 1], 0)
         at = pixels[:, ::-1].astype(np.float32) + step
         returned = sampled(back, at[:, 0], at[:, 1], cv2.BORDER_REPLICATE)
@@ -46,9 +50,9 @@ class Flow:
 
     def onwards(self, surface: Surface, before: Shot, now: Shot, tells: Tells, sums: Sums) -> None:
         """Add how far the pattern moved between two images; `surface` is what the first shows."""
-        cut = crop(before, now)
-        if cut is None:
+        if before.box is None or now.box is None:
             return
+        cut = crop(before.mask | now.mask, AROUND)
         some = np.flatnonzero(before.textured.take(surface.flat))
         old, known = measured(before, surface.pixels[some])
         known &= length(old - surface.points[some]) < NEAR
@@ -60,9 +64,8 @@ class Flow:
 
     def against(self, surface: Surface, shades: np.ndarray, now: Shot, tells: Tells, sums: Sums) -> None:
         """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known)."""
-        cut = crop(now, now)
         known = np.isfinite(shades)
-        if cut is None or known.sum() < FEWEST:
+        if known.sum() < FEWEST:
             return
         at = surface.flat[known]
         common = now.mask.take(at) > 0
@@ -74,7 +77,8 @@ class Flow:
         image, covered = np.full(now.grey.shape, GREY, np.uint8), np.zeros(now.mask.shape, np.uint8)
         image.ravel()[at] = np.rint((shades - drawn.mean()) * gain + real.mean()).clip(0, 255).astype(np.uint8)
         covered.ravel()[at] = 1
-        photo = np.where((now.mask | covered) > 0, now.grey, np.uint8(GREY))
+        either = now.mask | covered
+        cut, photo = crop(either, BARE), np.where(either > 0, now.grey, np.uint8(GREY))
         chosen = np.flatnonzero(known)[textured(image, covered).take(at)]
         chosen = chosen[tells(surface, chosen)]
         images = image[cut], photo[cut], cut

@@ -17,8 +17,6 @@ LEAST = 10
 """Pixels inside the rim that texture is a mean over, at least: beside the border it is that of what lies within."""
 TEXTURED = 1.0
 """Grey levels a pixel by which the image must change along its weakest direction, for flow to be more than noise."""
-AROUND = 22
-"""Pixels around the masks that flow is told about."""
 ALIKE = 15.0
 """Grey levels within which two images show the same."""
 LAYER = 0.008
@@ -172,13 +170,11 @@ def textured(grey: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return found
 
 
-def crop(first: Shot, second: Shot) -> tuple[slice, slice] | None:
-    """The part of both images around the object; None where one of them does not show it."""
-    if first.box is None or second.box is None:
-        return None
-    pairs = list(zip(first.box, second.box, strict=True))
-    joined = min(pairs[0]), max(pairs[1]), min(pairs[2]), max(pairs[3])
-    return _wider(joined, AROUND, first.grey.shape)
+def crop(mask: np.ndarray, around: int) -> tuple[slice, slice]:
+    """The part of an image around a mask [H, W], which is not empty, and so many pixels more."""
+    box = box_of(mask)
+    assert box is not None
+    return _wider(box, around, mask.shape)
 
 
 def measured(shot: Shot, at: np.ndarray, shades: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

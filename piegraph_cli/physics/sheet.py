@@ -231,7 +231,7 @@ class SheetFollower:
         way = along + state.normals * ((across - along) * state.normals).sum(1, keepdims=True)
         gains = GAIN * np.minimum(1.0, whole / FULL), GAIN * np.minimum(1.0, within / FULL)
         free = np.where(self.grip.held, 0.0, 1.0)
-        return self.cloth.corrected(x, x + way, state.normals, gains, free)
+        return self.cloth.corrected(x, x + way, state.normals, gains, free, self.atlas.plain)
 
     @staticmethod
     def _sane(x: np.ndarray, before: np.ndarray) -> np.ndarray:

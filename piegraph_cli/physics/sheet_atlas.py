@@ -59,6 +59,11 @@ class Atlas:
         filled = self.texture[np.isfinite(self.texture)]
         self.usual = float(filled.mean()) if len(filled) else 0.0
 
+    @property
+    def plain(self) -> bool:
+        """Whether most of the sheet has no pattern."""
+        return self.usual <= PATTERNED
+
     def drawn(self, surface: Surface) -> np.ndarray:
         """The shade [P] of each pixel's place on the sheet, NaN where it is not known."""
         return self._at(self.shades, surface)

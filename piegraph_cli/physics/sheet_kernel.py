@@ -22,8 +22,8 @@ CALM, CALMED = 2, 0.3
 STEP = 0.01
 """Seconds."""
 SWEEPS = 12
-ROUNDS, AFTER = 20, 5
-"""Of a correction: sweeps with data, and without."""
+ROUNDS, PLAIN_ROUNDS, AFTER = 20, 60, 5
+"""Of a correction: sweeps with data, of a sheet without a pattern, which is drawn along by its border; and without data."""
 
 KERNEL: dict[str, Any] = {"module": "unique", "enable_backward": False}
 TINY = wp.constant(1e-9)
@@ -117,10 +117,11 @@ def correct(
     free: wp.array(dtype=wp.float32),
     c: Constraints,
     half: float,
+    rounds: int,
 ):
     """Draw to targets and keep the cloth together, in turn."""
-    for r in range(ROUNDS + AFTER):
-        if r < ROUNDS:
+    for r in range(rounds + AFTER):
+        if r < rounds:
             for i in range(x.shape[0]):
                 way = target[i] - x[i]
                 out = normals[i] * wp.dot(way, normals[i])
@@ -169,9 +170,11 @@ class Cloth:
         normals: np.ndarray,
         gains: tuple[np.ndarray, np.ndarray],
         free: np.ndarray,
+        plain: bool,
     ) -> np.ndarray:
         """Positions drawn to a target [N, 3] (m), with gains [N] (0..1) along unit `normals` [N, 3] and within the sheet."""
         given = [np.array(values, np.float32) for values in (x, target, normals, *gains, free)]
         memory = [memory_of(values, values.ndim > 1) for values in given]
-        wp.launch(correct, 1, [*memory, self.constraints, self.mesh.half], device="cpu")
+        rounds = PLAIN_ROUNDS if plain else ROUNDS
+        wp.launch(correct, 1, [*memory, self.constraints, self.mesh.half, rounds], device="cpu")
         return given[0]

@@ -76,7 +76,8 @@ def shades_before(surface: Surface, old: Surface, shot: Shot, faces: np.ndarray)
 def spread(corners: np.ndarray, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values [P, ...] at pixels by the weights [P, 3] of corners [P, 3], the nodes having values [N, ...]."""
     shares = weights.reshape(*weights.shape, *[1] * (values.ndim - 1))
-    return sum(shares[:, k] * values.take(corners[:, k], 0) for k in range(3))
+    first, second, third = (shares[:, k] * values.take(corners[:, k], 0) for k in range(3))
+    return first + second + third
 
 
 def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lenses: Sequence[Lens]) -> list[Surface]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import torch
@@ -12,6 +13,7 @@ from piegraph_cli.bench.kernels import network_rows, spring_rows
 from piegraph_cli.bench.measure import Row, cache_rate, machine_rows, peak
 from piegraph_cli.bench.perception import check_checkout, perception_rows
 from piegraph_cli.bench.pipeline import plan_rows, track_rows, train_rows
+from piegraph_cli.bench.sheet import sheet_rows
 from piegraph_cli.bench.viewer import viewer_rows
 from piegraph_cli.bench.workspace import workspace_rows
 from piegraph_cli.errors import UsageError
@@ -31,7 +33,7 @@ def run_benchmarks(subjects: list[str], run: Path | None, against: Path | None =
         "sms": spring_rows,
         "egnn": network_rows,
         "plan": plan_rows,
-        "track": track_rows,
+        "track": lambda: chain(track_rows(), sheet_rows()),
         "train": train_rows,
         "workspace": workspace_rows,
         "perception": partial(perception_rows, run, against),

@@ -20,11 +20,18 @@ HALF_CLOSED = 0.345
 SPREAD = 0.07
 """How far that ratio typically is from the one of its kind, in one frame."""
 
+OPENS, CLOSES = 1.0, 2.0
+"""What one frame tells at most of an open hand, and of a pinch, in `SPREAD`s: fingertips that hold something are hidden and
+may look apart, those of an open hand hardly ever look closed."""
+
 SWITCH = 2.0
 """What opening or closing must explain, in `SPREAD`s from `HALF_CLOSED`: a frame or two by themselves are errors."""
 
 RISES = 0.008
 """Metres that what is under a pinching hand rises if the hand lifts it."""
+
+SLIPS = 3
+"""Frames that a hand may look open while what it lifted stays up, half as high or more: what it lets go of falls."""
 
 BENEATH = 0.03
 """Metres from the hand, seen from above, within which it lies."""
@@ -49,7 +56,7 @@ def pinches(apart: np.ndarray) -> np.ndarray:
 
     Source: Viterbi (1967), two states.
     """
-    evidence = np.where(np.isfinite(apart), ((HALF_CLOSED - apart) / SPREAD).clip(-2, 2), 0.0)
+    evidence = np.where(np.isfinite(apart), ((HALF_CLOSED - apart) / SPREAD).clip(-OPENS, CLOSES), 0.0)
     signed = np.array([-1.0, 1.0]) * evidence[:, None]
     score, came = np.zeros(2), np.zeros((len(apart), 2), np.int64)
     for f, gain in enumerate(signed):
@@ -73,16 +80,20 @@ def picks(landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.n
 
     closed = pinches(openness(landmarks))
     runs, count = label(closed)
-    holds = np.zeros_like(closed)
+    holds, last, up = np.zeros_like(closed), -SLIPS - 2, np.inf
     for n in range(1, count + 1):
         frames = np.flatnonzero(runs == n).tolist()
         opened = frames[0] > 0 and np.isfinite(landmarks[frames[0] - 1]).any()
         near = np.array([_gap(end_effector[f], clouds[f]) <= reach for f in frames])
-        if len(frames) < 2 or not opened or not near[0] or near.mean() <= 0.5:
-            continue
         heights = np.array([_height(end_effector[f], clouds[f]) for f in frames])
-        if np.isfinite(heights).any() and np.nanmax(heights) - heights[np.isfinite(heights)][0] >= RISES:
-            holds[frames] = True
+        heights = heights[np.isfinite(heights)]
+        if not near[0] or near.mean() <= 0.5 or len(heights) == 0:
+            continue
+        if frames[0] - last <= SLIPS + 1 and heights[0] >= up:  # it never opened
+            holds[last : frames[-1] + 1], last = True, frames[-1]
+        elif len(frames) > 1 and opened and heights.max() - heights[0] >= RISES:
+            holds[frames], last, up = True, frames[-1], (heights[0] + heights.max()) / 2
+            up = up if heights[-1] >= up else np.inf
     return holds
 
 

@@ -137,11 +137,11 @@ class SheetFollower:
         x = self._sane(self._prior(frame, before.x, flow), before.x)
         state = self._state(x)
         for k, surface in enumerate(state.surfaces):
-            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens))
+            shots[k] = completed(shots[k], surface.flat, surface.depth)
         x = self._sane(self._corrected(x, before.x, flow, state, frame, shots), x)
         state, flow = self._state(x), Sums(len(x))
         for k, (surface, shades) in enumerate(zip(state.surfaces, self._carried(state), strict=True)):
-            shots[k] = completed(shots[k], surface.pixels, surface.depth(shots[k].lens), shades)
+            shots[k] = completed(shots[k], surface.flat, surface.depth, shades)
             self.flow.against(surface, shades, shots[k], self._tells, flow)
         x = self._sane(self._corrected(x, x, flow.agreed(), state, frame, shots), x)
         state, drift = self._state(x), Sums(len(x))
@@ -209,7 +209,7 @@ class SheetFollower:
 
     def _state(self, x: np.ndarray) -> State:
         normals = self.mesh.normals(x)
-        return State(x, normals, [visible(self.cloth, x, normals, shot.lens) for shot in self.shots])
+        return State(x, normals, visible(self.cloth, x, normals, [shot.lens for shot in self.shots]))
 
     def _corrected(
         self, x: np.ndarray, start: np.ndarray, flow: Sums, state: State, frame: int, shots: list[Shot]
@@ -231,7 +231,7 @@ class SheetFollower:
         way = along + state.normals * ((across - along) * state.normals).sum(1, keepdims=True)
         gains = GAIN * np.minimum(1.0, whole / FULL), GAIN * np.minimum(1.0, within / FULL)
         free = np.where(self.grip.held, 0.0, 1.0)
-        return self.cloth.corrected(x, x + way, state.normals, gains, free)
+        return self.cloth.corrected(x, x + way, state.normals, gains, free, self.atlas.plain)
 
     @staticmethod
     def _sane(x: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ It is what a state is compared with, so that small errors from image to image do
 import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Shot
+from piegraph_cli.physics.sheet_images import Shot, sampled
 from piegraph_cli.physics.sheet_mesh import SheetMesh
-from piegraph_cli.physics.sheet_surface import Surface
+from piegraph_cli.physics.sheet_surface import Surface, spread
 
 TEXEL = 0.002
 """Metres."""
@@ -28,7 +28,7 @@ class Atlas:
     def __init__(self, mesh: SheetMesh):
         self.low = mesh.points[:, :2].min(0) - TEXEL
         columns, rows = np.ceil((np.ptp(mesh.points[:, :2], axis=0)) / TEXEL).astype(int) + 3
-        self.flat = (mesh.points[:, :2] - self.low) / TEXEL
+        self.flat = ((mesh.points[:, :2] - self.low) / TEXEL).astype(np.float32)
         self.shades = np.full((2, rows, columns), np.nan, np.float32)
         self.texture = np.full((2, rows, columns), np.nan, np.float32)
         """Share of what filled a texel that had texture, then."""
@@ -37,14 +37,14 @@ class Atlas:
 
     def _texels(self, surface: Surface, some: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Column and row [P, 2] of what pixels show."""
-        return np.einsum("pk,pkc->pc", surface.weights[some], self.flat[surface.corners[some]])
+        return spread(surface.corners[some], surface.weights[some], self.flat)
 
     def fill(self, surfaces: list[Surface], shots: list[Shot]) -> None:
         """Put in what the images show where the atlas is empty."""
         total, weight, texture = np.zeros((3, *self.shades.shape), np.float32)
         for surface, shot in zip(surfaces, shots, strict=True):
             row, column = surface.pixels.T
-            off = np.abs(shot.depth[row, column] - surface.depth(shot.lens))
+            off = np.abs(shot.depth[row, column] - surface.depth)
             kept = shot.inner[row, column] & (off < NEAR)
             texel = np.rint(self._texels(surface)[kept]).astype(int)
             place = np.where(surface.front[kept], 0, 1), texel[:, 1], texel[:, 0]
@@ -58,6 +58,11 @@ class Atlas:
             self.texture[face][fresh] = (share / np.maximum(known, 1e-6))[fresh]
         filled = self.texture[np.isfinite(self.texture)]
         self.usual = float(filled.mean()) if len(filled) else 0.0
+
+    @property
+    def plain(self) -> bool:
+        """Whether most of the sheet has no pattern."""
+        return self.usual <= PATTERNED
 
     def drawn(self, surface: Surface) -> np.ndarray:
         """The shade [P] of each pixel's place on the sheet, NaN where it is not known."""
@@ -74,10 +79,9 @@ class Atlas:
         return np.where(np.isfinite(share), share, self.usual) > PATTERNED
 
     def _at(self, values: np.ndarray, surface: Surface, some: np.ndarray | slice = slice(None)) -> np.ndarray:
-        column, row = self._texels(surface, some).astype(np.float32).T
+        column, row = self._texels(surface, some).T
         found, front = np.empty(len(row), np.float32), surface.front[some]
         for face, chosen in ((0, front), (1, ~front)):
             if chosen.any():
-                at = column[chosen, None], row[chosen, None]
-                found[chosen] = cv2.remap(values[face], *at, cv2.INTER_LINEAR, borderValue=np.nan)[:, 0]
+                found[chosen] = sampled(values[face], column[chosen], row[chosen], value=np.nan)
         return found

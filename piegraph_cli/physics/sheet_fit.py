@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Nearest, Shot, measured
-from piegraph_cli.physics.sheet_surface import Sums, Surface
+from piegraph_cli.physics.sheet_images import Nearest, Shot
+from piegraph_cli.physics.sheet_surface import Sums, Surface, length
 
 WEIGHT = 0.5
 """Of such a pixel, that of flow being 1."""
@@ -23,9 +23,9 @@ HAND = 0.05
 
 def lie_in_depth(surface: Surface, shot: Shot, sums: Sums) -> None:
     """Add the way along the normal to the measured surface."""
-    point, known = measured(shot, surface.pixels)
-    off = ((point - surface.points) * surface.normals).sum(1)
-    known &= np.abs(off) < FAR
+    rays = shot.lens.rays.reshape(-1, 3).take(surface.flat, 0)
+    off = (shot.depth.take(surface.flat) - surface.depth) * np.einsum("pc,pc->p", rays, surface.normals)
+    known = np.flatnonzero(shot.inner.take(surface.flat) & (np.abs(off) < FAR))
     way = off[known, None] * surface.normals[known]
     sums.add(surface.corners[known], WEIGHT * surface.weights[known], way)
 
@@ -34,35 +34,33 @@ def keep_silhouette(surface: Surface, shot: Shot, hand: np.ndarray | None, sums:
     """Add the ways back into the mask, and out to where the mask shows what the state does not cover."""
     if len(surface.pixels) == 0 or shot.box is None:
         return
-    row, column = surface.pixels.T
-    reading, depth = shot.depth[row, column], surface.depth(shot.lens)
-    height = shot.lens.origin[2] + shot.lens.rays[row, column, 2] * reading
-    out = (shot.mask[row, column] == 0) & (reading > 0) & ((height < LOW) | (reading > depth + BEHIND))
+    rays = shot.lens.rays.reshape(-1, 3)
+    out = np.flatnonzero(shot.mask.take(surface.flat) == 0)
+    at, depth = surface.flat[out], surface.depth[out]
+    reading = shot.depth.take(at)
+    height = shot.lens.origin[2] + rays[at, 2] * reading
+    beside = (reading > 0) & ((height < LOW) | (reading > depth + BEHIND))
     if hand is not None:
-        out &= ((surface.points - hand) ** 2).sum(1) > HAND**2
-    chosen = np.flatnonzero(out)
-    chosen = chosen[~shot.alike(row[chosen], column[chosen])]
-    apart, to = shot.nearest.of(row[chosen], column[chosen])
-    chosen, to = chosen[apart <= REACH], to[apart <= REACH]
-    rays = shot.lens.rays
-    way = (rays[to[:, 0], to[:, 1]] - rays[row[chosen], column[chosen]]) * depth[chosen, None]
-    sums.add(surface.corners[chosen], WEIGHT * surface.weights[chosen], way)
-    _cover(surface, shot, depth, sums)
+        beside &= length(surface.points[out] - hand) > HAND
+    beside[beside] = ~shot.alike(*surface.pixels[out[beside]].T)
+    apart, to = shot.nearest.of(at)
+    chosen = beside & (apart <= REACH)
+    which = out[chosen]
+    way = (rays[to[chosen]] - rays[at[chosen]]) * depth[chosen, None]
+    sums.add(surface.corners[which], WEIGHT * surface.weights[which], way)
+    _cover(surface, shot, sums)
 
 
-def _cover(surface: Surface, shot: Shot, depth: np.ndarray, sums: Sums) -> None:
+def _cover(surface: Surface, shot: Shot, sums: Sums) -> None:
     """Pull the nearest part of the surface to where the mask shows more."""
-    covered = (surface.owner >= 0).astype(np.uint8)
-    bare = np.argwhere((shot.mask > 0) & (covered == 0))
+    covered = surface.owner >= 0
+    bare = np.flatnonzero((shot.mask > 0) & ~covered)
     if len(bare) == 0:
         return
-    apart, from_ = Nearest(covered).of(*bare.T)
+    apart, from_ = Nearest(covered.view(np.uint8)).of(bare)
     bare, from_ = bare[apart <= REACH], from_[apart <= REACH]
-    number = np.zeros(covered.shape, np.int32)
-    number[surface.pixels[:, 0], surface.pixels[:, 1]] = np.arange(len(surface.pixels))
-    which = number[from_[:, 0], from_[:, 1]]
-    rays = shot.lens.rays
-    way = (rays[bare[:, 0], bare[:, 1]] - rays[from_[:, 0], from_[:, 1]]) * depth[which, None]
-    kept = (way**2).sum(1) < LEAP**2
+    which, rays = np.searchsorted(surface.flat, from_), shot.lens.rays.reshape(-1, 3)
+    way = (rays[bare] - rays[from_]) * surface.depth[which, None]
+    kept = length(way) < LEAP
     which = which[kept]
     sums.add(surface.corners[which], WEIGHT * surface.weights[which], way[kept])

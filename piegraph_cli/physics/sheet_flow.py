@@ -8,8 +8,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Shot, crop, measured, textured
-from piegraph_cli.physics.sheet_surface import Sums, Surface
+from piegraph_cli.physics.sheet_images import Shot, crop, measured, sampled, textured
+from piegraph_cli.physics.sheet_surface import Sums, Surface, length
 
 RETURNS = 1.5
 """Pixels from where it began within which flow there and back must end."""
@@ -21,6 +21,8 @@ GREY = 90
 """What is painted where there is nothing to compare."""
 MOST_GAIN = 3.0
 """Contrast of a rendering may be raised by so much, to be that of the image."""
+AROUND, BARE = 22, 8
+"""Pixels around the sheet that flow is told about, and where nothing is painted there."""
 FEWEST = 50
 """Pixels of a rendering that are worth a look."""
 
@@ -32,53 +34,55 @@ class Flow:
     """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
 
     def __init__(self) -> None:
-        self.search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self.there, self.back = (cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM) for _ in range(2))
+        self.back.setVariationalRefinementIterations(0)  # it only has to end near where the other began
 
     def between(self, first: np.ndarray, second: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P]."""
         one, two = np.ascontiguousarray(first), np.ascontiguousarray(second)
-        there, back = (self.search.calc(a, b, np.zeros((*a.shape, 2), np.float32)) for a, b in ((one, two), (two, one)))
-        step = there[pixels[:, 0], pixels[:, 1]]
+        there = self.there.calc(one, two, np.zeros((*one.shape, 2), np.float32))
+        back = self.back.calc(two, one, np.zeros((*one.shape, 2), np.float32))
+        step = there.reshape(-1, 2).take(pixels[:, 0] * there.shape[1] + pixels[:, 1], 0)
         at = pixels[:, ::-1].astype(np.float32) + step
-        returned = cv2.remap(back, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        sure = np.isfinite(at).all(1) & (np.linalg.norm(step + returned[:, 0], axis=1) < RETURNS)
-        return np.where(sure[:, None], at, 0.0)[:, ::-1].astype(np.float32), sure
+        returned = sampled(back, at[:, 0], at[:, 1], cv2.BORDER_REPLICATE)
+        sure = length(step + returned) < RETURNS  # not where flow is not finite
+        return np.where(sure[:, None], at, np.float32(0))[:, ::-1], sure
 
     def onwards(self, surface: Surface, before: Shot, now: Shot, tells: Tells, sums: Sums) -> None:
         """Add how far the pattern moved between two images; `surface` is what the first shows."""
-        cut = crop(before, now)
-        if cut is None:
+        if before.box is None or now.box is None:
             return
-        at = surface.pixels
-        old, known = measured(before, at)
-        known &= before.textured[at[:, 0], at[:, 1]]
-        known &= ((old - surface.points) ** 2).sum(1) < NEAR**2
-        images, shades = (before.grey[cut], now.grey[cut], cut), before.grey[at[:, 0], at[:, 1]].astype(np.float32)
-        chosen = np.flatnonzero(known)
-        self._follow(surface, chosen[tells(surface, chosen)], images, old, now, LONGEST, sums, shades)
+        cut = crop(before.mask | now.mask, AROUND)
+        some = np.flatnonzero(before.textured.take(surface.flat))
+        old, known = measured(before, surface.pixels[some])
+        known &= length(old - surface.points[some]) < NEAR
+        some, old = some[known], old[known]
+        told = tells(surface, some)
+        some, old = some[told], old[told]
+        shades = before.grey.take(surface.flat[some]).astype(np.float32)
+        self._follow(surface, some, (before.grey[cut], now.grey[cut], cut), old, now, LONGEST, sums, shades)
 
     def against(self, surface: Surface, shades: np.ndarray, now: Shot, tells: Tells, sums: Sums) -> None:
         """Add how far the state `surface` is off the image, its pixels having the `shades` [P] (NaN: not known)."""
-        cut = crop(now, now)
         known = np.isfinite(shades)
-        if cut is None or known.sum() < FEWEST:
+        if known.sum() < FEWEST:
             return
-        row, column = surface.pixels.T
-        common = known & (now.mask[row, column] > 0)
+        at = surface.flat[known]
+        common = now.mask.take(at) > 0
         if common.sum() < FEWEST:
             return
-        real, drawn = now.grey[row[common], column[common]].astype(np.float32), shades[common]
+        shades = shades[known]
+        real, drawn = now.grey.take(at[common]).astype(np.float32), shades[common]
         gain = min(MOST_GAIN, float(real.std() / max(drawn.std(), 1e-3)))
-        image = np.full(now.grey.shape, GREY, np.uint8)
-        matched = (shades[known] - drawn.mean()) * gain + real.mean()
-        image[row[known], column[known]] = np.rint(matched).clip(0, 255).astype(np.uint8)
-        covered = np.zeros(now.mask.shape, np.uint8)
-        covered[row[known], column[known]] = 1
-        photo = np.where((now.mask > 0) | (covered > 0), now.grey, np.uint8(GREY))
-        chosen = np.flatnonzero(known & textured(image, covered)[row, column])
+        image, covered = np.full(now.grey.shape, GREY, np.uint8), np.zeros(now.mask.shape, np.uint8)
+        image.ravel()[at] = np.rint((shades - drawn.mean()) * gain + real.mean()).clip(0, 255).astype(np.uint8)
+        covered.ravel()[at] = 1
+        either = now.mask | covered
+        cut, photo = crop(either, BARE), np.where(either > 0, now.grey, np.uint8(GREY))
+        chosen = np.flatnonzero(known)[textured(image, covered).take(at)]
         chosen = chosen[tells(surface, chosen)]
         images = image[cut], photo[cut], cut
-        self._follow(surface, chosen, images, surface.points, now, LONGEST_DRIFT, sums)
+        self._follow(surface, chosen, images, surface.points[chosen], now, LONGEST_DRIFT, sums)
 
     def _follow(
         self,
@@ -91,16 +95,19 @@ class Flow:
         sums: Sums,
         shades: np.ndarray | None = None,
     ) -> None:
-        """Add the ways of the `chosen` pixels from `start` [P, 3] (m) to what is measured where flow takes them."""
+        """Add the ways of Q `chosen` pixels from `start` [Q, 3] (m) to what is measured where flow takes them.
+
+        With `shades` [Q] that is also where the mask may miss the sheet.
+        """
         first, second, cut = images
         corner = np.array([cut[0].start, cut[1].start])
         at = surface.pixels[chosen] - corner
-        inside = (at >= 0).all(1) & (at < first.shape).all(1)
-        chosen, at = chosen[inside], at[inside]
-        if len(chosen) < FEWEST:
+        inside = (at.min(1) >= 0) & (at[:, 0] < first.shape[0]) & (at[:, 1] < first.shape[1])
+        if inside.sum() < FEWEST:
             return
+        chosen, at, start = chosen[inside], at[inside], start[inside]
         to, sure = self.between(first, second, at)
-        end, seen = measured(now, to + corner.astype(np.float32), None if shades is None else shades[chosen])
-        way = end - start[chosen]
-        kept = sure & seen & ((way**2).sum(1) < longest**2)
+        end, seen = measured(now, to + corner.astype(np.float32), None if shades is None else shades[inside])
+        way = end - start
+        kept = np.flatnonzero(sure & seen & (length(way) < longest))
         sums.add(surface.corners[chosen[kept]], surface.weights[chosen[kept]], way[kept])

@@ -17,8 +17,6 @@ LEAST = 10
 """Pixels inside the rim that texture is a mean over, at least: beside the border it is that of what lies within."""
 TEXTURED = 1.0
 """Grey levels a pixel by which the image must change along its weakest direction, for flow to be more than noise."""
-AROUND = 22
-"""Pixels around the masks that flow is told about."""
 ALIKE = 15.0
 """Grey levels within which two images show the same."""
 LAYER = 0.008
@@ -27,6 +25,8 @@ BESIDE = 32
 """Pixels around all that the object ever covers that are looked at."""
 FARTHEST = 20.0
 """Metres: no camera measures beyond."""
+LINE = 1024
+"""Places in a line of what is sampled."""
 FEWEST = 48
 """Pixels that a crop is wide and high at least: flow is looked for in pyramids."""
 
@@ -48,14 +48,20 @@ class Lens:
         height, width = (part.stop - part.start for part in window)
         self.camera = camera = replace(camera, K=K, height=height, width=width)
         self.origin = camera.T_world_camera[:3, 3].astype(np.float32)
+        self.towards = camera.T_world_camera[:3, :3] @ camera.K.T
         column, row = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
         rays = camera.rays(np.column_stack([column.ravel(), row.ravel()])) @ camera.T_world_camera[:3, :3].T
         self.rays = rays.astype(np.float32).reshape(camera.height, camera.width, 3)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Column, row and depth (m) [N, 3] float32 of points [N, 3] (m)."""
-        pixels, depth = self.camera.project(points)
-        return np.column_stack([pixels, depth]).astype(np.float32)
+        if self.camera.distortion.any():
+            pixels, depth = self.camera.project(points)
+            return np.column_stack([pixels, depth]).astype(np.float32)
+        at = (points - self.camera.T_world_camera[:3, 3]) @ self.towards
+        with np.errstate(divide="ignore", invalid="ignore"):  # beside the lens: told by depth
+            at[:, :2] /= at[:, 2:]
+        return at.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,33 +99,30 @@ class Shot:
         return box_of(self.mask)
 
 
-def completed(shot: Shot, pixels: np.ndarray, depth: np.ndarray, shades: np.ndarray | None = None) -> Shot:
-    """The same with a mask that has also what it missed: pixels [P, 2] where depth [P] (m) and shades [P] are as expected.
+def completed(shot: Shot, flat: np.ndarray, depth: np.ndarray, shades: np.ndarray | None = None) -> Shot:
+    """The same with a mask that has also what it missed: pixels [P] where depth [P] (m) and shades [P] are as expected.
 
     Masks of many-coloured things have holes, and lack what an arm cuts off. Where a thing is not any more its shade is not
     either. Without shades what is coloured as the thing is taken.
     """
-    row, column = pixels.T
-    as_deep = np.abs(shot.depth[row, column] - depth) < LAYER
+    missed = shot.mask.take(flat) == 0
+    missed &= np.abs(shot.depth.take(flat) - depth) < LAYER
+    if shades is not None:
+        missed &= np.isfinite(shades)
+    chosen = np.flatnonzero(missed)
+    more, width = flat[chosen], shot.mask.shape[1]
     if shades is None:
-        more = np.flatnonzero(as_deep & (shot.mask[row, column] == 0))
-        more = more[shot.alike(row[more], column[more])]
-        return _with(shot, row[more], column[more])
-    chosen = as_deep & np.isfinite(shades) & (shot.mask[row, column] == 0)
-    off, count = np.zeros((2, *shot.mask.shape), np.float32)
-    off[row[chosen], column[chosen]] = np.abs(shades[chosen] - shot.grey[row[chosen], column[chosen]])
-    count[row[chosen], column[chosen]] = 1
-    off, count = (cv2.boxFilter(a, cv2.CV_32F, (5, 5), normalize=False) for a in (off, count))
-    more = chosen & (off[row, column] < ALIKE * count[row, column])
-    return _with(shot, row[more], column[more])
-
-
-def _with(shot: Shot, row: np.ndarray, column: np.ndarray) -> Shot:
-    """The same with more pixels [P] in its mask."""
-    if not len(row):
+        more = more[shot.alike(more // width, more % width)]
+    elif len(more):
+        off, count = np.zeros((2, *shot.mask.shape), np.float32)
+        off.ravel()[more] = np.abs(shades[chosen] - shot.grey.take(more))
+        count.ravel()[more] = 1
+        off, count = (cv2.boxFilter(a, cv2.CV_32F, (5, 5), normalize=False) for a in (off, count))
+        more = more[off.take(more) < ALIKE * count.take(more)]
+    if not len(more):
         return shot
     mask = shot.mask.copy()
-    mask[row, column] = 1
+    mask.ravel()[more] = 1
     return replace(shot, mask=mask)
 
 
@@ -130,13 +133,13 @@ class Nearest:
         self.apart, self.label = cv2.distanceTransformWithLabels(
             (mask == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
         )
-        inside = np.argwhere(mask > 0)
-        self.places = np.zeros((len(inside) + 1, 2), np.int64)
-        self.places[self.label[inside[:, 0], inside[:, 1]]] = inside
+        inside = np.flatnonzero(mask)
+        self.places = np.zeros(len(inside) + 1, np.int64)
+        self.places[self.label.take(inside)] = inside
 
-    def of(self, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels [P] from each place to the mask, and the row and column [P, 2] there."""
-        return self.apart[row, column], self.places[self.label[row, column]]
+    def of(self, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of pixels [P], counted row by row: how many pixels it is from each to the mask, and which one is there."""
+        return self.apart.take(flat), self.places[self.label.take(flat)]
 
 
 def box_of(mask: np.ndarray) -> tuple[int, int, int, int] | None:
@@ -167,37 +170,43 @@ def textured(grey: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return found
 
 
-def crop(first: Shot, second: Shot) -> tuple[slice, slice] | None:
-    """The part of both images around the object; None where one of them does not show it."""
-    if first.box is None or second.box is None:
-        return None
-    pairs = list(zip(first.box, second.box, strict=True))
-    joined = min(pairs[0]), max(pairs[1]), min(pairs[2]), max(pairs[3])
-    return _wider(joined, AROUND, first.grey.shape)
+def crop(mask: np.ndarray, around: int) -> tuple[slice, slice]:
+    """The part of an image around a mask [H, W], which is not empty, and so many pixels more."""
+    box = box_of(mask)
+    assert box is not None
+    return _wider(box, around, mask.shape)
 
 
 def measured(shot: Shot, at: np.ndarray, shades: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P, 3] (m) that a camera measures at pixels [P, 2] (row, column; between pixels too), and where it does [P]:
+    """Points [P, 3] (m) that a camera measures at places [P, 2] (row, column; between pixels too), and where it does [P]:
     on the object; with `shades` [P] also where the mask may miss it, the image being as they say.
 
     The ray is that of the place, the depth that of the nearest pixel: between two of them a surface may end.
     """
     near = np.rint(at).astype(np.int32)
     height, width = shot.grey.shape
-    valid = (near >= 0).all(1) & (near[:, 0] < height) & (near[:, 1] < width)
-    row, column = near.T.clip(0, [[height - 1], [width - 1]])
-    known = shot.inner[row, column]
+    row, column = near[:, 0].clip(0, height - 1), near[:, 1].clip(0, width - 1)
+    flat, rays = row * width + column, shot.lens.rays.reshape(-1, 3)
+    reading = shot.depth.take(flat)
+    known = shot.inner.take(flat)
     if shades is not None:
-        known |= (np.abs(shades - shot.grey[row, column]) < ALIKE) & (shot.depth[row, column] > 0)
-    valid &= known
-    rays = shot.lens.rays[row, column]
-    if at.dtype.kind == "f":
-        rest = (at - near).astype(np.float32)
-        below, beside = np.minimum(row + 1, height - 1), np.minimum(column + 1, width - 1)
-        rays = rays + rest[:, :1] * (shot.lens.rays[below, column] - shot.lens.rays[row, column])
-        rays += rest[:, 1:] * (shot.lens.rays[row, beside] - shot.lens.rays[row, column])
-    depth = np.where(valid, shot.depth[row, column], 0.0)
-    return shot.lens.origin + rays * depth[:, None], valid
+        known |= (np.abs(shades - shot.grey.take(flat)) < ALIKE) & (reading > 0)
+    valid = known & (row == near[:, 0]) & (column == near[:, 1])
+    here, rest = rays[flat], (at - near).astype(np.float32)
+    below, beside = flat + np.where(row + 1 < height, width, 0), flat + (column + 1 < width)
+    ways = here + rest[:, :1] * (rays[below] - here) + rest[:, 1:] * (rays[beside] - here)
+    return shot.lens.origin + ways * np.where(valid, reading, np.float32(0))[:, None], valid
+
+
+def sampled(
+    image: np.ndarray, column: np.ndarray, row: np.ndarray, border: int = cv2.BORDER_CONSTANT, value: float = 0.0
+) -> np.ndarray:
+    """What an image [H, W, ...] has at places [P] between its pixels. OpenCV takes no list, of 32,766 at most: a picture."""
+    count = len(column)
+    places = np.zeros((2, max(1, -(-count // LINE)), LINE), np.float32)
+    places.reshape(2, -1)[:, :count] = column, row
+    found = cv2.remap(image, places[0], places[1], cv2.INTER_LINEAR, borderMode=border, borderValue=value)
+    return found.reshape(-1, *found.shape[2:])[:count]
 
 
 def _eroded(mask: np.ndarray, pixels: int) -> np.ndarray:

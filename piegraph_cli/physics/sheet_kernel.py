@@ -1,6 +1,6 @@
-"""What a sheet's tracker does most often, as kernels: the constraints of its cloth in turn, and which of it a pixel shows.
+"""The constraints of a sheet's cloth, solved in turn, as kernels.
 
-One thread each: the constraints are solved one after the other, each with what those before it left. Only a CPU runs them.
+One thread each: they are solved one after the other, each with what those before it left. Only a CPU runs them.
 """
 
 from typing import Any
@@ -22,11 +22,12 @@ CALM, CALMED = 2, 0.3
 STEP = 0.01
 """Seconds."""
 SWEEPS = 12
-ROUNDS, AFTER = 20, 5
-"""Of a correction: sweeps with data, and without."""
+ROUNDS, PLAIN_ROUNDS, AFTER = 20, 60, 5
+"""Of a correction: sweeps with data, of a sheet without a pattern, which is drawn along by its border; and without data."""
 
 KERNEL: dict[str, Any] = {"module": "unique", "enable_backward": False}
 TINY = wp.constant(1e-9)
+KINDS = {"float32": wp.float32, "int32": wp.int32, "int64": wp.int64, "bool": wp.bool}
 
 
 @wp.struct
@@ -116,10 +117,11 @@ def correct(
     free: wp.array(dtype=wp.float32),
     c: Constraints,
     half: float,
+    rounds: int,
 ):
     """Draw to targets and keep the cloth together, in turn."""
-    for r in range(ROUNDS + AFTER):
-        if r < ROUNDS:
+    for r in range(rounds + AFTER):
+        if r < rounds:
             for i in range(x.shape[0]):
                 way = target[i] - x[i]
                 out = normals[i] * wp.dot(way, normals[i])
@@ -130,41 +132,14 @@ def correct(
                 x[i] = wp.vec3(x[i][0], x[i][1], half)
 
 
-@wp.kernel(**KERNEL)
-def raster(
-    pixels: wp.array(dtype=wp.vec3),
-    triangles: wp.array2d(dtype=wp.int32),
-    owner: wp.array2d(dtype=wp.int32),
-    depth: wp.array2d(dtype=wp.float32),
-    weights: wp.array2d(dtype=wp.vec3),
-):
-    """The nearest triangle at every pixel, from corners (column, row, depth in m); weights are those of its corners."""
-    height = owner.shape[0]
-    width = owner.shape[1]
-    for t in range(triangles.shape[0]):
-        a = pixels[triangles[t, 0]]
-        b = pixels[triangles[t, 1]]
-        c = pixels[triangles[t, 2]]
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-        if wp.abs(area) > 1e-6 and wp.min(a[2], wp.min(b[2], c[2])) > 0.05:
-            left = wp.max(0, int(wp.ceil(wp.min(a[0], wp.min(b[0], c[0])))))
-            right = wp.min(width - 1, int(wp.floor(wp.max(a[0], wp.max(b[0], c[0])))))
-            top = wp.max(0, int(wp.ceil(wp.min(a[1], wp.min(b[1], c[1])))))
-            bottom = wp.min(height - 1, int(wp.floor(wp.max(a[1], wp.max(b[1], c[1])))))
-            for row in range(top, bottom + 1):
-                for column in range(left, right + 1):
-                    u = float(column)
-                    v = float(row)
-                    wa = ((b[0] - u) * (c[1] - v) - (c[0] - u) * (b[1] - v)) / area
-                    wb = ((c[0] - u) * (a[1] - v) - (a[0] - u) * (c[1] - v)) / area
-                    wc = 1.0 - wa - wb
-                    if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
-                        inverse = wa / a[2] + wb / b[2] + wc / c[2]
-                        z = 1.0 / inverse
-                        if owner[row, column] < 0 or z < depth[row, column]:
-                            owner[row, column] = t
-                            depth[row, column] = z
-                            weights[row, column] = wp.vec3(wa / a[2], wb / b[2], wc / c[2]) * z
+def memory_of(values: np.ndarray, vectors: bool = False) -> wp.array:
+    """An array of numbers, or of `vectors` [..., 3], as Warp sees it, in its own memory: it has to outlive that.
+
+    To have Warp copy it takes longer than most of the kernels.
+    """
+    assert values.flags.c_contiguous
+    kind, shape = (wp.vec3, values.shape[:-1]) if vectors else (KINDS[values.dtype.name], values.shape)
+    return wp.array(ptr=values.ctypes.data, dtype=kind, shape=shape, device=wp.get_device("cpu"))
 
 
 class Cloth:
@@ -177,17 +152,16 @@ class Cloth:
         self.constraints.pairs = wp.array(mesh.pairs, dtype=wp.int32, device="cpu")
         for name in ("rest", "pulls", "pushes"):
             setattr(self.constraints, name, wp.array(getattr(mesh, name), dtype=wp.float32, device="cpu"))
-        self.triangles = wp.array(mesh.triangles, dtype=wp.int32, device="cpu")
 
     def fallen(
         self, x: np.ndarray, velocity: np.ndarray, free: np.ndarray, carried: np.ndarray, seconds: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (m/s) after some time; what is not free [N] (1 or 0) is carried by [N, 3] (m)."""
         steps = max(1, round(seconds / STEP))
-        state, speed = _vectors(x), _vectors(velocity)
-        memory = [state, wp.zeros_like(state), speed, _numbers(free), _vectors(carried), self.constraints]
-        wp.launch(fall, 1, [*memory, self.mesh.half, FRICTION, steps, STEP], device="cpu")
-        return state.numpy(), speed.numpy()
+        given = [np.array(values, np.float32) for values in (x, x, velocity, free, carried)]
+        memory = [memory_of(values, values.ndim > 1) for values in given]
+        wp.launch(fall, 1, [*memory, self.constraints, self.mesh.half, FRICTION, steps, STEP], device="cpu")
+        return given[0], given[2]
 
     def corrected(
         self,
@@ -196,26 +170,11 @@ class Cloth:
         normals: np.ndarray,
         gains: tuple[np.ndarray, np.ndarray],
         free: np.ndarray,
+        plain: bool,
     ) -> np.ndarray:
         """Positions drawn to a target [N, 3] (m), with gains [N] (0..1) along unit `normals` [N, 3] and within the sheet."""
-        state = _vectors(x)
-        given = [state, _vectors(target), _vectors(normals), *map(_numbers, gains), _numbers(free)]
-        wp.launch(correct, 1, [*given, self.constraints, self.mesh.half], device="cpu")
-        return state.numpy()
-
-    def seen(self, pixels: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Triangle (or -1), depth (m) and corner weights [.., 3] at each pixel of an image, from pixels and depth [N, 3]."""
-        owner = wp.full((height, width), -1, dtype=wp.int32, device="cpu")
-        depth = wp.zeros((height, width), dtype=wp.float32, device="cpu")
-        weights = wp.zeros((height, width), dtype=wp.vec3, device="cpu")
-        wp.launch(raster, 1, [_vectors(pixels), self.triangles, owner, depth, weights], device="cpu")
-        return owner.numpy(), depth.numpy(), weights.numpy()
-
-
-def _vectors(values: np.ndarray) -> wp.array:
-    """A copy as vectors of Warp."""
-    return wp.array(np.array(values, np.float32), dtype=wp.vec3, device="cpu")
-
-
-def _numbers(values: np.ndarray) -> wp.array:
-    return wp.array(np.array(values, np.float32), dtype=wp.float32, device="cpu")
+        given = [np.array(values, np.float32) for values in (x, target, normals, *gains, free)]
+        memory = [memory_of(values, values.ndim > 1) for values in given]
+        rounds = PLAIN_ROUNDS if plain else ROUNDS
+        wp.launch(correct, 1, [*memory, self.constraints, self.mesh.half, rounds], device="cpu")
+        return given[0]

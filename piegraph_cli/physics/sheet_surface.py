@@ -1,13 +1,15 @@
 """Which part of a sheet each pixel of a camera shows, were the sheet in a given state; sums over such pixels per particle."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
-import cv2
 import numpy as np
 
-from piegraph_cli.physics.sheet_images import Lens, Shot
+from piegraph_cli.physics.sheet_images import Lens, Shot, sampled
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import SheetMesh
+from piegraph_cli.physics.sheet_pixels import seen
 
 LAYER = 0.004
 """Metres along the optical axis within which what is seen is the same layer."""
@@ -38,9 +40,15 @@ class Surface:
     along: np.ndarray
     """[H, W] metres to it, along the optical axis."""
 
-    def depth(self, lens: Lens) -> np.ndarray:
+    @cached_property
+    def flat(self) -> np.ndarray:
+        """[P] the pixels, counted row by row."""
+        return self.pixels[:, 0] * self.owner.shape[1] + self.pixels[:, 1]
+
+    @cached_property
+    def depth(self) -> np.ndarray:
         """[P] metres along the optical axis."""
-        return (self.points - lens.origin) @ lens.camera.T_world_camera[:3, 2].astype(np.float32)
+        return self.along.take(self.flat)
 
 
 def faces_of(mesh: SheetMesh, x: np.ndarray, normals: np.ndarray, lens: Lens) -> np.ndarray:
@@ -54,32 +62,36 @@ def shades_before(surface: Surface, old: Surface, shot: Shot, faces: np.ndarray)
 
     `faces` [N, 3] (m) is where the nodes were in that image, `old` what it showed.
     """
-    place = np.einsum("pk,pkc->pc", surface.weights, faces[surface.corners])
-    projected = shot.lens.project(place)
-    at = projected[:, :2]
-    near = np.rint(at).astype(np.int32)
-    column, row = near.T.clip(0, [[shot.grey.shape[1] - 1], [shot.grey.shape[0] - 1]])
-    shown = (near == np.stack([column, row], 1)).all(1) & (shot.mask[row, column] > 0)
-    same = old.owner[row, column]
-    shown &= (same >= 0) & (np.abs(old.along[row, column] - projected[:, 2]) < LAYER)
-    shades = cv2.remap(shot.grey, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR)[:, 0].astype(np.float32)
-    return np.where(shown, shades, np.nan)
+    height, width = shot.grey.shape
+    across, down, far = shot.lens.project(spread(surface.corners, surface.weights, faces)).T
+    near, below = np.rint(across).astype(np.int32), np.rint(down).astype(np.int32)
+    column, row = near.clip(0, width - 1), below.clip(0, height - 1)
+    at = row * width + column
+    shown = (near == column) & (below == row) & (shot.mask.take(at) > 0)
+    shown &= (old.owner.take(at) >= 0) & (np.abs(old.along.take(at) - far) < LAYER)
+    shades = sampled(shot.grey, across, down).astype(np.float32)
+    return np.where(shown, shades, np.float32(np.nan))
 
 
-def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lens: Lens) -> Surface:
-    """What a camera sees of a sheet whose nodes are at x [N, 3] (m), with normals [N, 3]: the nearest layer at each pixel."""
-    mesh, camera = cloth.mesh, lens.camera
-    faces = faces_of(mesh, x, normals, lens)
-    owner, along, weights = cloth.seen(lens.project(faces), camera.height, camera.width)
-    pixels = np.argwhere(owner >= 0)
-    triangle = owner[pixels[:, 0], pixels[:, 1]]
-    a, b, c = (x[mesh.triangles[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    front = np.einsum("tk,tk->t", normal, lens.origin - a) > 0
-    corners, share = mesh.triangles[triangle], weights[pixels[:, 0], pixels[:, 1]]
-    points = np.einsum("pk,pkc->pc", share, faces[corners])
-    return Surface(pixels, corners, share, points, normal[triangle].astype(np.float32), front[triangle], owner, along)
+def spread(corners: np.ndarray, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values [P, ...] at pixels by the weights [P, 3] of corners [P, 3], the nodes having values [N, ...]."""
+    shares = weights.reshape(*weights.shape, *[1] * (values.ndim - 1))
+    first, second, third = (shares[:, k] * values.take(corners[:, k], 0) for k in range(3))
+    return first + second + third
+
+
+def visible(cloth: Cloth, x: np.ndarray, normals: np.ndarray, lenses: Sequence[Lens]) -> list[Surface]:
+    """What cameras see of a sheet whose nodes are at x [N, 3] (m), with normals [N, 3]: the nearest layer at each pixel."""
+    faces = np.stack([faces_of(cloth.mesh, x, normals, lens) for lens in lenses])
+    projected = np.stack([lens.project(places) for lens, places in zip(lenses, faces, strict=True)])
+    origins, shapes = np.stack([lens.origin for lens in lenses]), [lens.rays.shape[:2] for lens in lenses]
+    middle = np.ascontiguousarray(x, np.float32)
+    return [Surface(*one) for one in seen(projected, faces, middle, cloth.mesh.triangles, origins, shapes)]
+
+
+def length(ways: np.ndarray) -> np.ndarray:
+    """[P] of ways [P, 2 or 3]."""
+    return np.sqrt(np.einsum("pc,pc->p", ways, ways))
 
 
 class Sums:
@@ -97,10 +109,10 @@ class Sums:
         self._count(corners, weights, ways, 1)
 
     def _count(self, corners: np.ndarray, weights: np.ndarray, ways: np.ndarray, sign: int) -> None:
-        at, share, nodes = corners.ravel(), sign * weights.ravel().astype(np.float64), len(self.weight)
-        self.weight += np.bincount(at, share, nodes)
+        at, shares, nodes = corners.ravel(), sign * weights.astype(np.float64), len(self.weight)
+        self.weight += np.bincount(at, shares.ravel(), nodes)
         for k in range(3):
-            self.way[:, k] += np.bincount(at, share * np.repeat(ways[:, k], 3), nodes)
+            self.way[:, k] += np.bincount(at, (shares * ways[:, k, None]).ravel(), nodes)
 
     def mean(self) -> np.ndarray:
         """[N, 3] metres; 0 where nothing is asked."""
@@ -111,8 +123,8 @@ class Sums:
         kept, mean = Sums(len(self.weight)), self.mean().astype(np.float32)
         kept.way[:], kept.weight[:] = self.way, self.weight
         for corners, weights, ways in self.parts:
-            off = np.linalg.norm(ways - np.einsum("pk,pkc->pc", weights, mean[corners]), axis=1)
-            odd = off >= max(ODD, ODDER * float(np.median(off))) if len(off) else off > 0
+            off = length(ways - spread(corners, weights, mean))
+            odd = np.flatnonzero(off >= max(ODD, ODDER * float(np.median(off)))) if len(off) else np.arange(0)
             kept._count(corners[odd], weights[odd], ways[odd], -1)
         nothing = kept.weight < LEAST
         kept.way[nothing], kept.weight[nothing] = 0.0, 0.0

@@ -75,6 +75,24 @@ def test_what_is_no_pick(apart, tips, heights):
     assert not picks(hand(apart), tips, [lifted(h) for h in heights], 0.06).any()
 
 
+@pytest.mark.parametrize(
+    ("before", "height", "gap", "held"),
+    [
+        (0.04, 0.04, 3, range(4, 15)),
+        (0.04, 0.0, 3, range(4, 9)),
+        (0.04, 0.015, 3, range(4, 9)),
+        (0.01, 0.04, 3, range(4, 9)),
+        (0.04, 0.04, 4, range(4, 9)),
+    ],
+    ids=["it stays up", "it has fallen", "on a pile", "beside a pile", "too long"],
+)
+def test_a_hand_that_looks_open_while_what_it_lifted_stays_up_holds_it(before, height, gap, held):
+    apart = [OPEN] * 4 + [CLOSED] * 5 + [OPEN] * gap + [CLOSED] * 3 + [OPEN] * 3
+    heights = [0.0] * 5 + [0.02] + [0.04] * 2 + [before] + [height] * (gap + 3) + [0.0] * 3
+    tips = np.tile([0.0, 0.0, 0.02], (len(apart), 1))
+    assert np.flatnonzero(picks(hand(apart), tips, [lifted(h) for h in heights], 0.06)).tolist() == list(held)
+
+
 def test_an_empty_cloud_and_an_unknown_hand_neither_make_nor_break_a_pick():
     clouds, tips = [lifted(h) for h in RISING], AT_SHEET.copy()
     clouds[6], tips[7] = np.zeros((0, 3)), np.nan

@@ -8,7 +8,7 @@ import pytest
 
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.sheet import Hand, SheetFollower
-from piegraph_cli.physics.sheet_images import Lens, Shot
+from piegraph_cli.physics.sheet_images import Lens, Shot, sampled
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import is_sheet, sheet_mesh
 from piegraph_cli.physics.sheet_surface import Sums, visible
@@ -240,10 +240,17 @@ def test_a_pixel_shows_the_nearest_layer():
     folded = mesh.points.copy()
     over = folded[:, 0] > 0
     folded[over] = folded[over] * [-1, 1, 1] + [0, 0, 0.02]
-    seen = visible(Cloth(mesh), folded, mesh.normals(folded), Lens(CAMERAS[0]))
+    seen = visible(Cloth(mesh), folded, mesh.normals(folded), [Lens(CAMERAS[0])])[0]
     left = seen.points[:, 0] < -0.01
     assert over[seen.corners[left]].mean() > 0.9
     assert seen.front[left].mean() < 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, 40000])
+def test_images_are_sampled_at_any_number_of_places(count):
+    image = np.add.outer(np.arange(30.0), 100 * np.arange(40.0)).astype(np.float32)
+    at = np.random.default_rng(0).uniform(1, 28, (2, count)).astype(np.float32)
+    np.testing.assert_allclose(sampled(image, *at), 100 * at[0] + at[1], atol=2.0)  # by 32nds of a pixel
 
 
 def test_ways_that_others_around_do_not_ask_for_are_left_out():

@@ -54,9 +54,9 @@ def _view(camera: Camera, pose: tuple[float, float]) -> View:
     rng = np.random.default_rng(0)
     print_ = rng.uniform(40, 200, (CELLS, CELLS, 3)).astype(np.float32)
     at = ((flat[:, :2] / SIDE + 0.5) * (CELLS - 1)).astype(np.float32)
-    colours = cv2.remap(print_, *(part.reshape(camera.height, camera.width) for part in at.T), cv2.INTER_CUBIC)
-    image = np.where(mask[:, None], colours.reshape(-1, 3), TABLE) + rng.normal(0, 1, (len(mask), 3))
     shape = camera.height, camera.width
+    colours = cv2.remap(print_, at[:, 0].reshape(shape), at[:, 1].reshape(shape), cv2.INTER_CUBIC)
+    image = np.where(mask[:, None], colours.reshape(-1, 3), TABLE) + rng.normal(0, 1, (len(mask), 3))
     depth = np.where(mask, far, -origin[2] / rays[:, 2]) / camera.depth_scale
     made = image.clip(0, 255).astype(np.uint8).reshape(*shape, 3)
     return View(camera, np.rint(depth).astype(np.uint16).reshape(shape), mask.reshape(shape), partial(np.copy, made))

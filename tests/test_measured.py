@@ -3,7 +3,7 @@
 import pytest
 
 from piegraph_cli.evaluation.statistics import verdict
-from piegraph_cli.experiments.claims import CLAIMS, Claim, findings
+from piegraph_cli.experiments.claims import CLAIMS, Claim, Finding, findings
 from piegraph_cli.experiments.params import ExperimentParams
 from piegraph_cli.experiments.pieces import Piece, keep_pieces
 from piegraph_cli.experiments.results import put_together
@@ -113,6 +113,11 @@ def test_claims_are_written_with_their_verdicts(tables, monkeypatch):
         "Verdict: better: `pgnd`; worse: `gnn` on T-block; level: `pgnd`; not measured: `gnn` on toy.",
     ]
     assert made.table("claim-y") is None
+
+
+def test_measures_that_differ_are_named():
+    found = [Finding("toy", "gnn", "pd", (0.0, -1.0, 1.0)), Finding("toy", "gnn", "cd+s", (1.0, 0.5, 2.0))]
+    assert measured._word(found) == "better: CD+S; level: PD"
 
 
 def test_planning_has_cliffs_delta_and_its_verdict(tables, monkeypatch):

@@ -113,14 +113,18 @@ def _gain(one: Finding) -> str:
 
 
 def _word(found: Sequence[Finding]) -> str:
-    """The verdict on one object in a word; where rivals differ, which is whose."""
+    """The verdict on one object in a word; where rivals or measures differ, which is whose."""
     words = {one.verdict or "not measured" for one in found}
     if len(words) < 2:
         return "".join(words)
-    by = {
-        word: [f"`{one.rival}`" for one in found if (one.verdict or "not measured") == word] for word in sorted(words)
-    }
-    return "; ".join(f"{word}: {', '.join(dict.fromkeys(rivals))}" for word, rivals in by.items())
+    several = len({one.rival for one in found}) > 1, len({one.metric for one in found}) > 1
+    by: dict[str, list[str]] = {word: [] for word in sorted(words)}
+    for one in found:
+        parts = (f"`{one.rival}`", one.metric.upper())
+        by[one.verdict or "not measured"].append(
+            " ".join(part for part, told in zip(parts, several, strict=True) if told)
+        )
+    return "; ".join(f"{word}: {', '.join(whose)}" for word, whose in by.items())
 
 
 def _in_words(found: Sequence[Finding]) -> str:

@@ -73,8 +73,9 @@ class Piece(_Kept):
 
     @property
     def name(self) -> str:
-        """Its file below the folder of pieces."""
-        return f"{self.place}/{self.model}{'' if self.seed is None else f'.seed{self.seed}'}.json"
+        """Its file below the folder of pieces; without colons, which some file systems do not have."""
+        name = f"{self.place}/{self.model}{'' if self.seed is None else f'.seed{self.seed}'}.json"
+        return name.replace(":", "_")
 
     @property
     def trouble(self) -> str | None:

@@ -46,6 +46,8 @@ def test_a_piece_is_a_line_for_each_sequence_and_is_read_as_it_was_written(tmp_p
     assert sum(line.startswith('  ["s') for line in text.splitlines()) == 2
     assert read_pieces(tmp_path) == [whole, STATIC]
     assert STATIC.name == "tblock/static.json"
+    variant = OURS[0].model_copy(update={"place": "planning/tshirt:crumpled", "model": "piegraph:nohead@6"})
+    assert variant.name == "planning/tshirt_crumpled/piegraph_nohead@6.seed0.json"
     arrays = read_piece(path).arrays
     np.testing.assert_array_equal(arrays["pd"], [0.5, 1.0, 2.0, 4.0])
     np.testing.assert_array_equal(arrays["horizon"], [1, 1, 4, 4])

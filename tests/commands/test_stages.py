@@ -284,7 +284,7 @@ def test_a_goal_may_be_a_frame_of_a_track(planner, tiny_run):
         (["--env", "tblock", "--goal", "none.ply"], 3, "none.ply: no such file"),
         (["--env", "tblock", "--goal", "empty.npz"], 3, "holds no finite points"),
         (["--env", "tblock", "--goal", "empty.ply"], 3, "holds no finite points"),
-        (["--env", "tblock", "--goal-pose", "50,0,0"], 3, "the goal lies around"),
+        (["--env", "tblock", "--goal-pose", "5,0,0"], 3, "the goal lies around"),
         (["--env", "tblock", "--min-length", "0.2", "--max-length", "0.1"], 2, "min_length 0.2 is not below"),
         (["--env", "tblock", "--min-length", "0.01", "--max-length", "0.015"], 2, "do not go into the object"),
         (["--env", "tblock", "--goal", "words.txt"], 3, "cannot read clouds from .txt"),
@@ -323,7 +323,7 @@ def test_a_plan_with_a_model_that_is_not_there_names_what_trains_it_and_shows_no
         (("train", "--model", "gnn:wide"), 2),
         (("train", "--model", "pgnd", "--hidden", "8"), 2),
         (("evaluate", "--models", "static,gnn", "--horizons", "1"), 3),
-        (("dataset", "--train", "2", "--min-stroke", "5"), 3),
+        (("dataset", "--train", "2", "--min-stroke", "0.9"), 3),
     ],
 )
 def test_settings_that_were_refused_are_not_kept(folder, arguments, code):

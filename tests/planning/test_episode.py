@@ -69,7 +69,7 @@ def test_another_goal_may_be_chosen():
 
 def tasks(environment, count: int = 4, **settings) -> dict[tuple[int, int], Episode]:
     """Episodes without a stroke, by start and goal."""
-    nothing = {"strokes": 1, "success": 9.0, "fixed_goals": True}
+    nothing = {"strokes": 1, "success": 0.9, "fixed_goals": True}
     pairs = product(range(count), repeat=2)
     return {(s, g): episode("static", s, g, environment, **nothing | settings) for s, g in pairs}
 

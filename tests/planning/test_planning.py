@@ -203,7 +203,7 @@ def test_cem_ends_when_its_elites_are_as_good_as_the_best():
     assert early.cost < full.cost + 1e-3
     elites = early.candidates.weights > 0
     assert float(early.candidates.costs[elites][-10:].max()) - early.cost < 1e-3
-    assert search(SQUARE + 5.0, carried, cost, SPACE, samples=20, converged=1e9) is None
+    assert search(SQUARE + 5.0, carried, cost, SPACE, samples=20, converged=1.0) is None
     picks = search(SQUARE, carried, cost, PICKS, samples=100, cem_iterations=30, converged=1e-3).candidates
     spared = picks.costs.isnan()
     assert spared.any()

@@ -1,7 +1,6 @@
 """Which triangle of a sheet each pixel of a camera shows, and where on it, as kernels of one thread each, for a CPU."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -88,19 +87,6 @@ def listed(
                     n += 1
 
 
-class Seen(NamedTuple):
-    """P pixels of a camera that show a sheet, as `Surface` has them."""
-
-    pixels: np.ndarray
-    corners: np.ndarray
-    weights: np.ndarray
-    points: np.ndarray
-    normals: np.ndarray
-    front: np.ndarray
-    owner: np.ndarray
-    along: np.ndarray
-
-
 def seen(
     projected: np.ndarray,
     faces: np.ndarray,
@@ -108,11 +94,11 @@ def seen(
     triangles: np.ndarray,
     origins: np.ndarray,
     shapes: Sequence[tuple[int, int]],
-) -> list[Seen]:
+) -> list[tuple[np.ndarray, ...]]:
     """What C cameras at `origins` [C, 3] see in images of those shapes of triangles [T, 3] int32, the nearest at each pixel.
 
     Of every node, float32: column, row and depth (m) in each image [C, N, 3], its places (m) on the face towards each camera
-    [C, N, 3] and in the middle of the sheet [N, 3].
+    [C, N, 3] and in the middle of the sheet [N, 3]. The arrays of a `Surface` for each, in its order.
     """
     ends = np.cumsum([height * width for height, width in shapes])
     windows = np.array([[end - h * w, h, w] for end, (h, w) in zip(ends, shapes, strict=True)], np.int32)
@@ -131,6 +117,4 @@ def seen(
         wp.launch(listed, 1, [*drawn, parts, *given, net, *made], device="cpu")
     lists = [np.split(values, np.cumsum(counts)[:-1]) for values in (pixels, corners, *told, front)]
     whole = [np.split(values, ends[:-1]) for values in (owner, along)]
-    return [
-        Seen(*(one[k] for one in lists), *(one[k].reshape(shape) for one in whole)) for k, shape in enumerate(shapes)
-    ]
+    return [(*(one[k] for one in lists), *(one[k].reshape(shape) for one in whole)) for k, shape in enumerate(shapes)]

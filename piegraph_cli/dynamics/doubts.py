@@ -21,7 +21,7 @@ def unexplained(error: float, motion: float, law: str, thing: str) -> str | None
     left = (
         f"{law} leave{'' if law.endswith('s') else 's'} {error * 100:.1f} of {motion * 100:.1f} cm that particles move"
     )
-    return f"{left}: no {thing} that was pushed fits"
+    return f"{left}: no {thing} fits"
 
 
 def at_bounds(ended: Sequence[tuple[str, float]], thing: str) -> list[str]:
@@ -36,4 +36,4 @@ def little_told(data: Sequences) -> list[str]:
     if 0 < count < FEW:
         told = f"{counted(count, 'stroke')} to learn from: friction and pusher are hardly told by them"
         return [f"{told}; record {FEW} or more"]
-    return open_side(Recorded.of(data).seen, 0.0, "at the first sequence's start faced")
+    return [] if data.picks else open_side(Recorded.of(data).seen, 0.0, "at the first sequence's start faced")

@@ -30,6 +30,7 @@ from piegraph_cli.dynamics.params import (
 from piegraph_cli.dynamics.reliability import Calibration, signs_of
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
 from piegraph_cli.dynamics.rigid_residual import RigidResidual
+from piegraph_cli.dynamics.spring_fit import SMS
 from piegraph_cli.dynamics.stroke import Foresee, Predict, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
@@ -74,7 +75,7 @@ class Learner:
     network: Callable[[Any, bool], nn.Module]
     """From its settings, and whether there are picks in the data."""
     examples: Callable[[Sequences, Any, str], Examples] | None
-    """From training sequences and settings, on a device; None for a `RigidBody`, which fits itself."""
+    """From training sequences and settings, on a device; None for what fits itself."""
     predict: Callable[[Trained, torch.Tensor], Predict]
     """For an object at rest [N, 3] (m)."""
 
@@ -146,14 +147,17 @@ def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
     return predict
 
 
-def _springs_alone(network: sms.SMS, rest: torch.Tensor) -> Predict:
-    graph = sms.object_springs(rest.cpu().numpy(), network.params.radius)
+def _springs_alone(trained: Trained, rest: torch.Tensor) -> Predict:
+    springs = trained.network
+    assert isinstance(springs, SMS)
+    graph = springs.springs(rest.cpu().numpy())
+    return lambda positions, strokes: springs.predict(positions, strokes, graph)
 
-    @torch.inference_mode()
-    def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
-        return network.move(spring_kernel.push, positions, strokes, graph)
 
-    return predict
+def _springs_as_given(rest: torch.Tensor, params: PredictionParams) -> Predict:
+    graph = sms.object_springs(rest.cpu().numpy(), sms.RADIUS)
+    given = sms.as_given(graph, params.tension_only)
+    return lambda positions, strokes: sms.moved(positions, strokes, graph, given, sms.AS_GIVEN_STRIDE)
 
 
 def _pushed(trained: Trained, rest: torch.Tensor) -> Predict:
@@ -205,16 +209,15 @@ def _rigid_residual(params: RigidParams, picks: bool) -> RigidResidual:
     return RigidResidual(params)
 
 
+def _springs(params: SMSParams, picks: bool) -> SMS:
+    return SMS(params)
+
+
 def _windows(data: Sequences, params: StepParams, device: str) -> Windows:
     fine, before = finer(data, params.step), params.frames - 1
     return Windows(fine, before, params.rollout, device, noise=params.noise, turn=params.turn)
 
 
-_SPRINGS = Learner(
-    lambda params, picks: sms.SMS(params),
-    lambda data, params, device: sms.WholeStrokes(data, params.radius, device),
-    lambda trained, rest: _springs_alone(trained.network, rest),  # type: ignore[arg-type]
-)
 _ACTION_NODES = Learner(
     lambda params, picks: ActionNodeEGNN(params.neighbors, params.hidden, params.layers, picks, params.pool),
     _pairs(mirror=True, turn=False),
@@ -229,7 +232,7 @@ MODELS: dict[str, Model] = {
     "gnn": Model(Learner(_gnn, _pairs(mirror=True, turn=False), _in_torch)),
     "gnn-aug": Model(Learner(_gnn, _pairs(mirror=True, turn=True), _in_torch)),
     "sms-no": Model(),
-    "sms-o": Model(_SPRINGS),
+    "sms-o": Model(Learner(_springs, None, _springs_alone)),
     "pgnd": Model(Learner(_pgnd, _windows, _frame_by_frame)),
     "gbnd": Model(Learner(_gbnd, _windows, _frame_by_frame)),
     "rigid": Model(Learner(_rigid_body, None, _pushed)),
@@ -286,7 +289,7 @@ def sure(predict: Predict) -> Foresee:
 def _move(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Predict:
     """What one network, or springs alone, predict: before any correction."""
     if name == "sms-no":
-        return _springs_alone(sms.SMS(SMSParams(tension_only=params.tension_only)).to(rest.device), rest)
+        return _springs_as_given(rest, params)
     learner = MODELS[str(TRAINED_AS.get(name, name))].learner
     assert learner is not None
     assert trained is not None

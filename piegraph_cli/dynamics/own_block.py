@@ -64,7 +64,7 @@ def fitted_body(data: Sequences) -> RigidBody:
     error, _ = body.fit(data)
     first, last = data.strokes.T
     motion = float(np.linalg.norm(data.positions[last] - data.positions[first], axis=-1).mean())
-    wrong = unexplained(error, motion, "pushing", "block") if body.params.fit else None
+    wrong = unexplained(error, motion, "pushing", "block that was pushed") if body.params.fit else None
     if wrong:
         raise DataError(wrong, hint=HINT)
     return body

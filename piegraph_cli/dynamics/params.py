@@ -34,7 +34,7 @@ MODEL_HELP: dict[str, str] = {
     "gnn": "a graph network without equivariance",
     "gnn-aug": "the same, trained on turned examples",
     "sms-no": "springs pushed by a disc, their numbers as given",
-    "sms-o": "springs pushed by a disc, their numbers fitted by gradient",
+    "sms-o": "springs pushed by a disc or carried, their reach and numbers fitted to the strokes",
     "pgnd": "Particle-Grid Neural Dynamics",
     "gbnd": "graph-based neural dynamics with a tool node",
     "rigid": "a rigid body pushed over a table: an analytic model, five numbers fitted",
@@ -152,22 +152,10 @@ class ActionNodeParams(GraphParams):
     mirror: bool = Field(False, description="no effect on egnn-g, whose network tells no left from right")
 
 
-class SMSParams(LearningParams):
-    """The springs and the pusher of a spring-mass system alone, and how they are optimised."""
+class SMSParams(FittedParams):
+    """A spring-mass system alone has no settings: how far springs reach, and all of their numbers, are fitted."""
 
-    learning_rate: float = Field(0.15, gt=0, description="learning rate at the start of the cosine")
-    weight_decay: float = Field(0.0, ge=0, description="AdamW weight decay")
-    batch: int = Field(4, ge=1, description="training sequences per step")
-    steps: int = Field(120, ge=1, description="training steps of the first cycle")
-    radius: float = Field(0.08, gt=0, description="particles closer than this are joined by a spring [m]")
-    stride: float = Field(1e-3, gt=0, description="the hand's motion per iteration [m]")
-    settle: int = Field(20, ge=0, description="iterations after the hand has stopped")
-    stiffness: float = Field(0.1, gt=0, description="spring stiffness k dt^2/m at the start")
-    damping: float = Field(0.9, gt=0, lt=1, description="velocity kept per iteration at the start")
-    friction: float = Field(5e-5, gt=0, description="friction with the table, mu g dt^2, at the start [m]")
-    reach: float = Field(0.015, gt=0, description="distance that the pusher keeps particles away, at the start [m]")
-    grip: float = Field(0.4, gt=0, description="Coulomb coefficient of the pusher at the start")
-    tension_only: bool = Field(False, description="springs pull but never push, as in cloth")
+    revision: ClassVar[int] = 2
 
 
 class StepParams(LearningParams):

@@ -1,30 +1,28 @@
-"""A spring-mass system alone: the stroke's hand pushes or carries it, and its few numbers are fitted to strokes."""
+"""A spring-mass system alone: how springs with given numbers move under a stroke, whose hand pushes or carries them."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from piegraph_cli.dynamics.egnn import DECIMETRE
-from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.losses import mean_seen
-from piegraph_cli.dynamics.params import SMSParams
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.pushing import PushParams
 from piegraph_cli.physics.springs import SpringGraph, build_springs, contour, stability_bound
 
-GRIP = 0.02
+STRIDE, SETTLE = 5e-4, 40
+"""Metres of the hand in an iteration, and iterations after it has stopped, of springs whose numbers are fitted."""
+HOLD = 0.02
 """Particles within this of where a pick starts are held [m]."""
 STABLE = 0.8
 """Largest share of the stability bound that a stiffness may take."""
-SETS = 16
-"""Sets of numbers tried at a time, in pairs to either side."""
-SPREAD = 0.15
-"""Their standard deviation, of logarithms and of the damping's logit."""
+RADIUS, AS_GIVEN_STRIDE = 0.08, 1e-3
+"""Of `sms-no`: longest springs, and the hand's motion in an iteration [m]."""
+AS_GIVEN = PushParams(stiffness=0.1, damping=0.9, friction=5e-5, radius=0.015, grip=0.4, settle=20)
+"""The numbers of `sms-no`."""
 
 
 def stroke_path(strokes: Strokes, stride: float, settle: int) -> Tensor:
@@ -38,10 +36,11 @@ def stroke_path(strokes: Strokes, stride: float, settle: int) -> Tensor:
     return start[:, None] + (along / length)[:, None] * torch.minimum(travelled[None], length)[..., None]
 
 
-def held_particles(positions: Tensor, strokes: Strokes) -> Tensor:
-    """Which particles [B, N] of positions [B, N, 3] (m) picks hold: those near their start, the nearest at least."""
+def held_particles(positions: Tensor, strokes: Strokes, within: Tensor) -> Tensor:
+    """Which particles [B, N] of positions [B, N, 3] (m) picks hold: those `within` (m; or [B]) of their start, one at least."""
     apart = (positions[..., :2] - strokes.planar.start[:, None]).norm(dim=-1)
-    return (apart <= apart.amin(1, keepdim=True).clamp_min(GRIP)) & (strokes.mode == PICK)[:, None]
+    reach = torch.maximum(apart.amin(1, keepdim=True), within.to(apart).reshape(-1, 1))
+    return (apart <= reach) & (strokes.mode == PICK)[:, None]
 
 
 def object_springs(rest: np.ndarray, radius: float) -> SpringGraph:
@@ -49,99 +48,40 @@ def object_springs(rest: np.ndarray, radius: float) -> SpringGraph:
     return replace(build_springs(rest, radius), contour=contour(rest))
 
 
-class SMS(nn.Module):
-    """Stiffness, damping, the table's friction, the pusher's reach and grip, as logarithms or a logit: so they stay in range.
+def moved(
+    positions: Tensor,
+    strokes: Strokes,
+    graph: SpringGraph,
+    params: PushParams,
+    stride: float = STRIDE,
+    hold: Tensor | float = HOLD,
+) -> Tensor:
+    """Positions [B, N, 3] (m) after strokes [B]; `stride` (m) per iteration, `hold` (m; or [B]) as for `held_particles`."""
+    assert params.settle is not None
+    path = stroke_path(strokes, stride, params.settle)
+    picks = bool((strokes.mode == PICK).any())
+    held = held_particles(positions, strokes, torch.as_tensor(hold)) if picks else None
+    return spring_kernel.push(positions, path, graph, params, held)
 
-    Source: paper, IV-B, ablations SMS(NO), as made, and SMS(O), after training.
+
+def as_given(graph: SpringGraph, tension_only: bool) -> PushParams:
+    """What `sms-no` takes for these springs, as far as they bear it. Source: paper, IV-B, ablation SMS(NO)."""
+    bound = STABLE * stability_bound(graph, float(AS_GIVEN.damping))
+    return replace(AS_GIVEN, stiffness=min(float(AS_GIVEN.stiffness), bound), tension_only=tension_only)
+
+
+def stiffness_of(graph: SpringGraph, numbers: Tensor) -> Tensor:
+    """Stiffness k dt^2/m [...] of springs with numbers [..., 5]."""
+    damping = numbers[..., 1].double().sigmoid()
+    return numbers[..., 0] * stability_bound(graph, 0.5) * (1 + damping) / damping / 3  # the bound from that at 0.5
+
+
+def push_params(graph: SpringGraph, numbers: Tensor, tension_only: bool = False) -> PushParams:
+    """What the simulation takes of numbers [5] or [B, 5].
+
+    They are stiffness as a share of what the springs bear, the logit of the damping, friction with the table (m), the
+    pusher's reach (m) and its grip.
     """
-
-    def __init__(self, params: SMSParams):
-        super().__init__()
-        self.params = params
-        numbers = (params.stiffness, params.friction, params.reach, params.grip)
-        self.stiffness, self.friction, self.reach, self.grip = (
-            nn.Parameter(torch.tensor(math.log(number))) for number in numbers
-        )
-        self.damping = nn.Parameter(torch.logit(torch.tensor(params.damping)))
-
-    def fitted(self) -> Tensor:
-        """What is fitted, [5]."""
-        return torch.stack([self.stiffness, self.damping, self.friction, self.reach, self.grip])
-
-    def numbers(self, graph: SpringGraph, fitted: Tensor | None = None) -> PushParams:
-        """What the simulation takes of `fitted` [5] or [5, B]; the stiffness at most `STABLE` of what these springs bear."""
-        stiffness, damping, friction, reach, grip = self.fitted() if fitted is None else fitted
-        damping = damping.sigmoid()
-        # the bound at any damping, from that at 0.5
-        bound = STABLE * stability_bound(graph, 0.5) * (1 + damping) / damping / 3
-        stiffness = torch.minimum(stiffness.exp(), bound)
-        reach = reach.exp().clamp_min(self.params.stride)
-        return PushParams(
-            stiffness, damping, friction.exp(), reach, grip.exp(), self.params.tension_only, self.params.settle
-        )
-
-    def move(
-        self, push, positions: Tensor, strokes: Strokes, graph: SpringGraph, fitted: Tensor | None = None
-    ) -> Tensor:
-        """Positions [B, N, 3] (m) after strokes [B], by `push` of `physics.pushing` or of the kernel.
-
-        `fitted` [5, B]: numbers of each scene, in place of the network's own.
-        """
-        path = stroke_path(strokes, self.params.stride, self.params.settle)
-        held = held_particles(positions, strokes) if bool((strokes.mode == PICK).any()) else None
-        return push(positions, path, graph, self.numbers(graph, fitted), held)
-
-
-class WholeStrokes:
-    """Training examples of a spring-mass system: a sequence each, all its strokes from their true starts."""
-
-    def __init__(self, data: Sequences, radius: float, device: str = "cpu"):
-        strokes = data.whole().to(device)
-        self.sequences = []
-        for index in np.unique(data.owner):
-            first, last = data.strokes[data.owner == index].T
-            graph = object_springs(data.rest[index], radius)
-            states = (torch.as_tensor(data.positions[rows], device=device) for rows in (first, last))
-            seen = None
-            if data.seen is not None:
-                seen = torch.as_tensor(data.seen[first] & data.seen[last], device=device)
-            self.sequences.append((graph, strokes[torch.as_tensor(data.owner == index)], *states, seen))
-
-    def __len__(self) -> int:
-        return len(self.sequences)
-
-    def loss(self, network: nn.Module, chosen: Tensor, rng: np.random.Generator | None = None) -> Tensor:
-        """Mean squared particle error (dm^2) at the ends of the strokes of the chosen sequences [B].
-
-        With `rng` the mean over numbers drawn around the network's own, whose gradient is that of this mean: whether a
-        stroke catches or slides past is a step in the error itself, and says nothing of the way to it.
-        """
-        assert isinstance(network, SMS)
-        fitted = network.fitted()
-        if rng is None:
-            return self._errors(network, chosen, fitted.detach()[None]).mean()
-        away = torch.as_tensor(rng.normal(0, SPREAD, (SETS // 2, len(fitted)))).to(fitted)
-        away = torch.cat([away, -away])
-        errors = self._errors(network, chosen, fitted.detach() + away)
-        gradient = (errors[:, None] * away).mean(0) / SPREAD**2
-        return errors.mean() + ((fitted - fitted.detach()) * gradient).sum()
-
-    @torch.no_grad()
-    def _errors(self, network: SMS, chosen: Tensor, fitted: Tensor) -> Tensor:
-        """The mean squared error (dm^2) under each set of numbers [K, 5]."""
-        errors = []
-        for index in chosen.tolist():
-            graph, strokes, start, end, seen = self.sequences[index]
-            sets, count = len(fitted), len(strokes)
-            every = torch.arange(count, device=start.device).repeat(sets)
-            numbers = fitted.repeat_interleave(count, 0).T
-            moved = network.move(spring_kernel.push, start[every], strokes[every], graph, numbers)
-            error = ((moved - end[every]) * DECIMETRE).square().sum(-1)
-            errors.append(mean_seen(error, None if seen is None else seen[every]).reshape(sets, count).mean(1))
-        return torch.stack(errors).mean(0)
-
-    def static_loss(self, network: nn.Module, chosen: Tensor) -> Tensor:
-        """The same if nothing moves."""
-        moved = [(self.sequences[index][2:4], self.sequences[index][4]) for index in chosen.tolist()]
-        errors = [mean_seen(((b - a) * DECIMETRE).square().sum(-1), seen).mean() for (a, b), seen in moved]
-        return torch.stack(errors).mean()
+    _, damping, friction, reach, grip = numbers.float().unbind(-1)
+    stiffness = stiffness_of(graph, numbers).float()
+    return PushParams(stiffness, damping.sigmoid(), friction, reach, grip, tension_only, SETTLE)

@@ -173,11 +173,12 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     from piegraph_cli.dynamics.models import MODELS, make_network
     from piegraph_cli.dynamics.params import LearningParams
     from piegraph_cli.dynamics.rigid_body import RigidBody, is_rigid
+    from piegraph_cli.dynamics.spring_fit import SMS
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.comparing import advice
-    from piegraph_cli.stages.fitted import about, fit_body
+    from piegraph_cli.stages.fitted import about, fit_body, fit_springs
     from piegraph_cli.stages.learning import read_sequences
 
     set_up_torch()
@@ -192,6 +193,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     network = make_network(name, params.settings, data.picks, params.seed)
     if isinstance(network, RigidBody):
         return fit_body(network, data)
+    if isinstance(network, SMS):
+        return fit_springs(network, data)
     assert isinstance(params.settings, LearningParams)
     assert learner.examples is not None
     device, settings = choose_device(context.device), params.settings

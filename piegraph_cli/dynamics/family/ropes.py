@@ -1,21 +1,17 @@
 """Random ropes on a table and random pushes of them, moved by this project's springs alone.
 
-Length, shape at rest, particles, bending, friction, pusher and strokes are drawn. Source of the motion: `spring_kernel`.
+Length, shape at rest, particles, bending, friction, pusher and strokes are drawn. Source of the motion: `dynamics.sms`.
 """
 
 import numpy as np
 import torch
 
 from piegraph_cli.dynamics.family.drawn import TRAITS, Drawn, between, random_strokes
-from piegraph_cli.dynamics.sms import STABLE, object_springs, stroke_path
+from piegraph_cli.dynamics.sms import STABLE, moved, object_springs, push_params, stiffness_of
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PUSH
-from piegraph_cli.physics import spring_kernel
-from piegraph_cli.physics.pushing import PushParams
-from piegraph_cli.physics.springs import SpringGraph, stability_bound
+from piegraph_cli.physics.springs import SpringGraph
 
-STRIDE, SETTLE = 5e-4, 40
-"""Metres of the pusher in an iteration, and iterations after it has stopped."""
 SPAN = (0.1, 1.0)
 """Longest springs as a share of the rope, from, to, even in the logarithm: the longer, the less it bends."""
 SPACINGS = 2.2
@@ -142,31 +138,16 @@ def pushed(
     graph: SpringGraph, numbers: np.ndarray, before: np.ndarray, start: np.ndarray, end: np.ndarray
 ) -> np.ndarray:
     """Particles [B, N, 3] (m) of ropes with numbers [B, 5] after strokes from start to end [B, 2] (m)."""
-    _, damping, friction, reach, grip = torch.as_tensor(numbers.T.astype(np.float32))
-    params = PushParams(
-        torch.as_tensor(stiffness_of(graph, numbers).astype(np.float32)),
-        damping.sigmoid(),
-        friction,
-        reach,
-        grip,
-        settle=SETTLE,
-    )
     strokes = Strokes.of(start.astype(np.float32), end.astype(np.float32), PUSH)
-    path = stroke_path(strokes, STRIDE, SETTLE)
-    return spring_kernel.push(torch.as_tensor(before.astype(np.float32)), path, graph, params).numpy()
-
-
-def stiffness_of(graph: SpringGraph, numbers: np.ndarray) -> np.ndarray:
-    """Stiffness k dt^2/m [B] of springs with numbers [B, 5]."""
-    damping = 1 / (1 + np.exp(-numbers[:, 1]))
-    return numbers[:, 0] * stability_bound(graph, 0.5) * (1 + damping) / damping / 3  # the bound from that at 0.5
+    params = push_params(graph, torch.as_tensor(numbers))
+    return moved(torch.as_tensor(before.astype(np.float32)), strokes, graph, params).numpy()
 
 
 def traits_of(graph: SpringGraph, span: float, numbers: np.ndarray) -> np.ndarray:
     """Traits [B, TRAITS] of ropes with numbers [B, 5]: reach of springs, friction over stiffness, reach, grip."""
     low, high = np.log(SPAN)
     middle, spread = np.array([SOFTNESS, REACH, GRIP]).T
-    drawn = np.column_stack([numbers[:, 2] / stiffness_of(graph, numbers), numbers[:, 3:]])
+    drawn = np.column_stack([numbers[:, 2] / stiffness_of(graph, torch.as_tensor(numbers)).numpy(), numbers[:, 3:]])
     traits = np.full((len(numbers), TRAITS), 4 * (np.log(span) - (low + high) / 2) / (high - low))
     traits[:, 1:] = np.log(drawn / middle) / spread
     return np.clip(traits, -2, 2)

@@ -50,7 +50,7 @@ def test_a_variant_that_changes_nothing_is_left_out():
     assert ours == ["piegraph@100", "piegraph:nopool@100", "piegraph:nomirror@100", "piegraph:nohead@100"]
     search = recipe_of(load_experiment("search", False), "rope-bendy", None).params(STAGES["train"])
     assert isinstance(search, TrainParams)
-    assert len(search.models) == 28
+    assert len(search.models) == 24
 
 
 def test_an_experiment_end_to_end(tmp_path):
@@ -255,7 +255,7 @@ def test_troubles_show_what_was_made_and_make_nothing(tmp_path):
 def test_a_search_gives_every_learned_model_as_many_candidates_on_sequences_of_its_own():
     params = load_experiment("search", False)
     models = [label.partition(":")[0] for label in params.models]
-    learned = {"piegraph", "egnn-g", "gnn", "gnn-aug", "sms-o", "pgnd", "gbnd"}
+    learned = {"piegraph", "egnn-g", "gnn", "gnn-aug", "pgnd", "gbnd"}
     assert {name: models.count(name) for name in learned} == dict.fromkeys(learned, 4)
     assert set(models) == learned
     names_of = {

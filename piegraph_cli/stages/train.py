@@ -173,8 +173,8 @@ def run(inputs: dict[str, Any], params: ModelParams, context: Context) -> Output
     from piegraph_cli.dynamics.models import MODELS, make_network
     from piegraph_cli.dynamics.params import LearningParams
     from piegraph_cli.dynamics.rigid_body import RigidBody, is_rigid
-    from piegraph_cli.dynamics.spring_fit import SMS
     from piegraph_cli.dynamics.splits import TRAIN, VALIDATION
+    from piegraph_cli.dynamics.spring_fit import SMS
     from piegraph_cli.dynamics.training import Trainer
     from piegraph_cli.process import choose_device, set_up_torch
     from piegraph_cli.stages.comparing import advice

@@ -28,7 +28,6 @@ SMALL: dict[str, dict] = {
     "egnn-g": GRAPH,
     "gnn": GRAPH,
     "gnn-aug": GRAPH,
-    "sms-o": {"batch": 1, "stride": 5e-3, "settle": 3, "steps": 20},
     "pgnd": {"batch": 2, "rollout": 1, "noise": 1e-3, "steps": 20},
     "gbnd": {"batch": 3, "hidden": 8, "rollout": 1, "neighbors": 3, "steps": 20},
 }
@@ -43,12 +42,6 @@ OTHERS = {
     "layers": 1,
     "shape_weight": 2.0,
     "radius": 0.03,
-    "stride": 3e-3,
-    "settle": 9,
-    "stiffness": 0.05,
-    "damping": 0.5,
-    "friction": 1e-3,
-    "grip": 0.1,
     "reach": 0.03,
     "rollout": 3,
     "history": 1,
@@ -114,7 +107,7 @@ def trainer_of(
 def learned(name: str, data: Sequences = DATA, **settings) -> list[np.ndarray]:
     """The weights and the loss after a few steps."""
     trainer = trainer_of(name, LEARNED[name](**SMALL[name] | settings), data=data)
-    for _ in range(2 if name == "sms-o" else 4):
+    for _ in range(4):
         trainer.step()
     loss = trainer.record()[1]
     return [*(value.numpy() for value in trainer.network.state_dict().values()), np.array(loss)]
@@ -312,9 +305,6 @@ def test_the_loss_of_nothing_moving_is_zero_where_nothing_moves_and_that_of_a_ne
     every = torch.arange(len(examples))
     if isinstance(examples, Pairs):
         found = examples.loss(lambda start, *_: start, every)
-    elif name == "sms-o":
-        frames = DATA.positions[DATA.strokes]
-        found = torch.tensor(100 * np.square(frames[:, 1] - frames[:, 0]).sum(-1).mean())
     else:
         trainer.network.step = lambda past, *_: past[:, -1]
         found = examples.loss(trainer.network, every)

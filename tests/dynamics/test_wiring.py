@@ -16,12 +16,13 @@ from piegraph_cli.dynamics.ablations import GNN, ActionNodeEGNN
 from piegraph_cli.dynamics.egnn import EGNN, Rest
 from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
-from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TRAINED_AS, PredictionParams, SMSParams
+from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TRAINED_AS, PredictionParams
 from piegraph_cli.dynamics.rigid_body import RigidBody
+from piegraph_cli.dynamics.spring_fit import SMS
 from piegraph_cli.errors import DataError
 from piegraph_cli.physics import pushing, simulation
 from piegraph_cli.physics.rigid import rigid_projection
-from piegraph_cli.physics.springs import build_springs
+from piegraph_cli.physics.springs import build_springs, stability_bound
 from tests import strokes as of_strokes
 
 PARTICLES, BATCH = 20, 3
@@ -37,10 +38,11 @@ NETWORKS = {
     "egnn-g": ActionNodeEGNN,
     "gnn": GNN,
     "gnn-aug": GNN,
-    "sms-o": sms.SMS,
     "pgnd": pgnd.PGND,
     "gbnd": gbnd.GBND,
 }
+SPRINGS = torch.tensor([0.4, 3.0, 4e-5, 0.02, 0.5, 0.03])
+"""Numbers of springs, as they are fitted."""
 GUIDED, RIGID = ("piegraph", "egnn-g"), ("kabsch",)
 PACE = 0.012
 
@@ -63,6 +65,8 @@ def trained(name: str, picks: bool = False, **changes) -> Trained:
     network = make_network(name, settings, picks, 0)
     if isinstance(network, RigidBody):
         network.fit(one_sequence())
+    if isinstance(network, SMS):
+        network.span, network.numbers = torch.tensor(0.2), SPRINGS
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
         for parameter in network.parameters():
@@ -87,12 +91,20 @@ def alone(name: str, rest: torch.Tensor = REST, picks: bool = False, now: torch.
     """What the network of a model predicts, by itself."""
     network, moves = trained(name, picks).network, strokes(picks)
     now = now.expand(BATCH, -1, -1).clone()
-    if isinstance(network, sms.SMS):
-        return network.move(pushing.push, now, moves, sms.object_springs(rest.numpy(), network.params.radius))
+    if isinstance(network, SMS):
+        graph = network.springs(rest.numpy())
+        return swept(now, moves, graph, sms.push_params(graph, SPRINGS[:5]), sms.STRIDE, float(SPRINGS[5]))
     if isinstance(network, (pgnd.PGND, gbnd.GBND)):
         return torch.cat([step_by_step(network, now[k : k + 1], moves[k]) for k in range(BATCH)])
     at_rest = Rest.of(rest[None], network.neighbors).expand(BATCH)
     return network(now, moves, at_rest)
+
+
+def swept(now: torch.Tensor, moves: Any, graph, params: pushing.PushParams, stride: float, hold: float) -> torch.Tensor:
+    """Springs under strokes, by the reference."""
+    held = sms.held_particles(now, moves, torch.tensor(hold))
+    picks = bool(held.any())
+    return pushing.push(now, sms.stroke_path(moves, stride, params.settle), graph, params, held if picks else None)
 
 
 def step_by_step(network, x: torch.Tensor, stroke: Any) -> torch.Tensor:
@@ -150,12 +162,13 @@ def test_kabsch_is_the_same_network_made_rigid():
     assert apart(predict("piegraph"), found) > 1e-3
 
 
-def test_springs_as_given_are_those_of_the_defaults():
-    """Whatever is trained: `sms-no` takes nothing from it but whether springs only pull."""
+def test_springs_as_given_are_of_8_cm_at_a_millimetre_an_iteration():
+    """`sms-no` takes nothing from settings but whether springs only pull."""
+    graph = sms.object_springs(REST.numpy(), 0.08)
     for tension_only in (False, True):
-        network = sms.SMS(SMSParams(tension_only=tension_only))
-        graph = sms.object_springs(REST.numpy(), SMSParams().radius)
-        expected = network.move(pushing.push, NOW.expand(BATCH, -1, -1), strokes(), graph)
+        bound = sms.STABLE * stability_bound(graph, 0.9)
+        params = pushing.PushParams(min(0.1, bound), 0.9, 5e-5, 0.015, 0.4, tension_only, 20)
+        expected = swept(NOW.expand(BATCH, -1, -1), strokes(), graph, params, 1e-3, 0.02)
         close(predict("sms-no", tension_only=tension_only), expected, 2e-3)
     assert apart(predict("sms-no", tension_only=True), predict("sms-no")) > 1e-3
 
@@ -282,17 +295,3 @@ def test_windows_are_as_long_as_their_network_looks_back_and_ahead(name, history
     assert windows.after.shape == (4, 3)
     assert (windows.noise, windows.turn) == (0.3, False)
     assert learner.examples(one_sequence(), settings_of(name, turn=True), "cpu").turn
-
-
-def test_springs_learn_from_whole_strokes_with_springs_of_their_radius():
-    learner = MODELS["sms-o"].learner
-    assert learner is not None
-    assert learner.examples is not None
-    strokes_of = learner.examples(one_sequence(), SMSParams(radius=0.04), "cpu")
-    assert isinstance(strokes_of, sms.WholeStrokes)
-    graph, stroke, start, end, seen = strokes_of.sequences[0]
-    assert seen is None
-    np.testing.assert_array_equal(graph.pairs, build_springs(REST.numpy(), 0.04).pairs)
-    close(of_strokes.start(stroke).float(), torch.tensor([[-0.1, 0.01]]), 1e-6)
-    close(of_strokes.end(stroke).float(), torch.tensor([[-0.1 + 4 * PACE, 0.01]]), 1e-6)
-    close(end - start, torch.tensor([0.04, 0, 0]).expand(1, PARTICLES, 3), 1e-6)

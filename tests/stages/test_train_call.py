@@ -93,8 +93,7 @@ def test_options_say_whose_they_are_with_which_default():
     steps = options["steps"]
     assert (steps.kind, steps.default) == (int, "")
     assert steps.meaning == (
-        "training steps of the first cycle (piegraph, egnn-g, gnn, gnn-aug [default: 2600]; sms-o [default: 120]; "
-        "pgnd, gbnd [default: 1500])"
+        "training steps of the first cycle (piegraph, egnn-g, gnn, gnn-aug [default: 2600]; pgnd, gbnd [default: 1500])"
     )
     assert options["gripper"].meaning.endswith("(pgnd [default: 0.04])")
     assert "no effect on egnn-g" in options["mirror"].meaning

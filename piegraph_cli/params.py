@@ -215,4 +215,5 @@ def validated(params: type[Settings], values: Any, name: str, where: str, hint: 
             table = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else table
         known = ", ".join(field.alias or field_name for field_name, field in table.model_fields.items())
         of = setting.rpartition(".")[0]
-        raise UsageError(f"{setting}: unknown setting", where, f"settings of {of}: {known}") from None
+        hint = f"settings of {of}: {known}" if known else f"{of} has no settings: leave it out"
+        raise UsageError(f"{setting}: unknown setting", where, hint) from None

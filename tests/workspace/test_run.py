@@ -127,6 +127,14 @@ def test_a_wrong_recipe_is_refused_by_name(tmp_path, text, message):
     assert str(path) in str(caught.value)
 
 
+def test_a_model_without_settings_says_so(tmp_path):
+    path = tmp_path / "r.toml"
+    path.write_text("[train.sms-o]\nradius = 0.4")
+    with pytest.raises(UsageError, match="train.sms-o.radius: unknown setting") as caught:
+        load_recipe(path, STAGES)
+    assert caught.value.hint == "train.sms-o has no settings: leave it out"
+
+
 def test_recipe_paths_are_relative_to_the_recipe(tmp_path):
     (tmp_path / "rec").mkdir()
     path = tmp_path / "r.toml"

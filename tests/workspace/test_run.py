@@ -130,7 +130,7 @@ def test_a_wrong_recipe_is_refused_by_name(tmp_path, text, message):
 def test_a_model_without_settings_says_so(tmp_path):
     path = tmp_path / "r.toml"
     path.write_text("[train.sms-o]\nradius = 0.4")
-    with pytest.raises(UsageError, match="train.sms-o.radius: unknown setting") as caught:
+    with pytest.raises(UsageError, match="radius: unknown setting") as caught:
         load_recipe(path, STAGES)
     assert caught.value.hint == "train.sms-o has no settings: leave it out"
 

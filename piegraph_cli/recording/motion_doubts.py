@@ -26,7 +26,7 @@ LATEST, UNEVEN, EVENER, LAGS = 1.0, 0.006, 3.0, 1.5
 """Seconds that clocks are tried; metres by which a hand's distance from what it moves varies, and times less with another
 clock, and frames that it is off: from these on it is told.
 """
-GAP_VARIES = 0.05
+GAP_VARIES = 0.1
 """Metres by which a hand's distance from what it touches varies where it does not touch it all the while."""
 FAST = 3.0
 """Metres a second that no hand that pushes or picks goes."""
@@ -128,7 +128,12 @@ def _doubts_of_motion(positions: np.ndarray, contact: np.ndarray) -> list[str]:
 def _doubts_of_touch(positions: np.ndarray, hand: np.ndarray, time: np.ndarray, contact: np.ndarray) -> list[str]:
     """A hand that is now near, now far from what it is said to touch, and one that keeps its distance by another clock."""
     trees = [cKDTree(points) for points in positions]
-    gaps = np.array([tree.query(np.nan_to_num(at, nan=np.inf))[0] if np.isfinite(at).all() else np.nan for tree, at in zip(trees, hand, strict=True)])
+    gaps = np.array(
+        [
+            tree.query(np.nan_to_num(at, nan=np.inf))[0] if np.isfinite(at).all() else np.nan
+            for tree, at in zip(trees, hand, strict=True)
+        ]
+    )
     touching = gaps[contact & np.isfinite(gaps)]
     if len(touching) >= SEVERAL:
         near, far = np.quantile(touching, [0.1, 0.9])
@@ -157,14 +162,16 @@ def find_late(positions: np.ndarray, hand: np.ndarray, time: np.ndarray) -> floa
         return None
     runs = np.split(moves, np.flatnonzero(np.diff(moves) > 1) + 1)
     runs = [run for run in runs if len(run) >= FEWEST_MOVES // 2]
-    trees = {int(k): cKDTree(positions[k]) for run in runs for k in run}
+    middles = positions.mean(1)
 
     def uneven(late: float) -> float:
         off, count = 0.0, 0
         for run in runs:
             at = np.stack([np.interp(time[run] + late, time[known], axis) for axis in hand[known].T], 1)
-            gaps = np.array([trees[int(k)].query(place)[0] for k, place in zip(run, at, strict=True)])
-            off, count = off + float(((gaps - gaps.mean()) ** 2).sum()), count + len(run)
+            near = np.linalg.norm(positions[run[0]] - at[0], axis=1).argsort()[:NEIGHBOURS]
+            for there in (positions[run][:, near].mean(1), middles[run]):
+                gaps = np.linalg.norm(at - there, axis=1)
+                off, count = off + float(((gaps - gaps.mean()) ** 2).sum()), count + len(run)
         return (off / max(count, 1)) ** 0.5
 
     step = float(np.median(np.diff(time)))

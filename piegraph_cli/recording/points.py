@@ -29,8 +29,9 @@ FARTHEST = 1e6
 EMPTY = 20
 """So many points at the origin itself are pixels without depth, as other programs write them."""
 
-ROWS, SMOOTH = 32, 0.02
-"""Rows and columns from which an array may be an image of points, and the share of its size that lies between pixels."""
+ROWS, WHOLE_ROWS, SMOOTH = 32, 100, 0.02
+"""Rows and columns from which an array may be an image of points, one that lacks none, and the share of its size between
+pixels."""
 
 PER_FRAME = ("time", "mode", "contact", "end_effector", "residual", "visibility")
 PER_POINT = ("colors", "normals")
@@ -106,13 +107,14 @@ def is_organised(points: np.ndarray) -> bool:
 
     Pixels without depth are NaN or 0, which no frame's particles are; or points lie beside those of the pixels around.
     """
-    if min(points.shape[:2]) < ROWS or points.dtype.kind != "f":
+    if min(points.shape[:2]) < ROWS:
         return False
-    empty = ~np.isfinite(points).all(-1) | (points == 0).all(-1)
-    if empty.all():
-        return False
+    zero = (points == 0).all(-1)
+    empty = ~np.isfinite(points).all(-1) | (zero if zero.sum() >= EMPTY else False)
     if empty.any():
         return not (empty.all(1) | ~empty.any(1)).all()  # frames are there or lost as a whole
+    if min(points.shape[:2]) < WHOLE_ROWS:
+        return False
     size = float(np.ptp(points.reshape(-1, 3), axis=0).max())
     steps = [float(np.quantile(np.linalg.norm(np.diff(points, axis=axis), axis=-1), 0.9)) for axis in (0, 1)]
     travels = float(np.linalg.norm(points[-1].mean(0) - points[0].mean(0)))

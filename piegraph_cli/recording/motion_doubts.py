@@ -11,7 +11,7 @@ NEIGHBOURS = 6
 AWAY, NEAR = 0.75, 0.25
 """Spacings: farther from where its neighbours take it a particle is elsewhere, nearer to another's place it is there."""
 TORN, TORN_SHARE = 2.5, 0.04
-"""Times as far as before, or as the object's spacing, from its neighbours a particle is torn from them; a share of all that is."""
+"""Times as far as before, or as all are apart, from its neighbours a particle is torn from them; a share of all."""
 LEAP = 0.02
 """Metres that a marker leaps to the origin where that stands for a lost one."""
 UNTOUCHED, UNTOUCHED_SHARE = 0.02, 0.3

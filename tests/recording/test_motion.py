@@ -363,7 +363,7 @@ def test_an_order_that_changes_while_all_moves_is_named_with_the_frame(tmp_path,
     data = grid()
     assert read(write(tmp_path, ".npz", data)).warnings == []
     data["particles"][15:] = data["particles"][15:, order] + [0, 0.05, 0]
-    with pytest.raises(DataError, match="frame 15: .* particles (leave those beside them|take each other)"):
+    with pytest.raises(DataError, match=r"frame 15: .* particles (leave those beside them|take each other)"):
         read(write(tmp_path, ".npz", data))
 
 
@@ -373,7 +373,7 @@ def test_a_hand_on_another_clock_is_said_with_the_seconds(tmp_path, frames):
     data["end_effector"] = data["end_effector"][np.clip(np.arange(30) - frames, 0, 29)]
     data["contact"] = (np.arange(30) > 3).astype(int)
     (said,) = read(write(tmp_path, ".npz", data)).warnings
-    assert f"the end-effector is 0.13 s {'behind' if frames > 0 else 'ahead of'} the particles" in said
+    assert f"the end-effector is 0.14 s {'behind' if frames > 0 else 'ahead of'} the particles" in said
 
 
 def test_contact_that_is_said_from_afar_is_doubted(tmp_path):

@@ -55,7 +55,7 @@ def test_another_frame_of_reference_is_said(change):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda p: p + np.array([0, 0, 0.12]), r"were it (6|9|12) cm lower"),
+        (lambda p: p + np.array([0, 0, 0.2]), r"were it (9|12|15|20) cm lower"),
         (lambda p: p - np.array([0, 0, 0.09]), r"were it (6|9|12|15) cm higher"),
         (lambda p: p[:, [1, 0, 2]], "with x and y exchanged"),
         (lambda p: p * [1, -1, 1], "with y turned over"),

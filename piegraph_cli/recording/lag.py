@@ -72,10 +72,10 @@ def check_lags(
     for name, seen, measured, at in zip(names, color, depth, times, strict=True):
         if len(at) < FEWEST:
             continue
-        changed = [np.abs(np.diff(moved / WEIGHT, axis=0)) for moved in (seen, measured)]
+        ours, theirs = (np.abs(np.diff(moved / WEIGHT, axis=0)) for moved in (seen, measured))
         most = int(np.clip(MOST_LATE / float(np.median(np.diff(at))), 2, len(at) // 3))
-        agreed.append(agreement(*changed, most))
-        if min(one.sum() / one[0].size for one in changed) > CHANGE:
+        agreed.append(agreement(ours, theirs, most))
+        if min(one.sum() / one[0].size for one in (ours, theirs)) > CHANGE:
             told.append((name, agreed[-1], at))
     if told:
         return [check for name, agrees, at in told for check in _judged((name,), agrees, at)]

@@ -1,6 +1,6 @@
 """Intrinsics that belong to images of another size or lens: one factor that brings the tables of several cameras to z = 0."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,15 +31,15 @@ def find_lens(
     if len(bad) < 2:
         return None
 
-    def worst(lens: Callable[[np.ndarray], np.ndarray]) -> float:
+    def worst(rows: list[list[float]]) -> float:
         return max(
-            min(limits(fault_of(_seen_by(p, intrinsics[c], lens(intrinsics[c])), poses[c], table)) for p in planes[c])
+            min(limits(fault_of(_seen_by(p, intrinsics[c], intrinsics[c] * rows), poses[c], table)) for p in planes[c])
             for c in bad
         )
 
-    tried = [f for f in FACTORS if abs(f - 1) > UNCHANGED]
-    found = [(worst(lambda K, f=f: K * [[f], [f], [1]]), f, True) for f in tried]
-    found += [(worst(lambda K, f=f: K * [[f, 1, 1], [1, f, 1], [1, 1, 1]]), f, False) for f in tried]
+    tried = [float(f) for f in FACTORS if abs(f - 1) > UNCHANGED]
+    found = [(worst([[f] * 3, [f] * 3, [1] * 3]), f, True) for f in tried]
+    found += [(worst([[f, 1, 1], [1, f, 1], [1, 1, 1]]), f, False) for f in tried]
     score, factor, resized = min(found)
     if score > CLOSE:
         return None

@@ -94,6 +94,8 @@ def test_a_goal_that_is_another_object_is_said_and_planned_for_all_the_same():
     model = Model("static", trained("tblock"), PlanParams(samples=8, cem_iterations=1))
     cloud = seen("tblock")[2][0]
     assert model.plan(cloud, goal=cloud + np.float32([0.1, 0, 0])).warnings == ()
+    (said,) = model.plan(cloud, goal=scaled(cloud, 1.1) + np.float32([0.1, 0, 0])).warnings
+    assert "1.10 times as large as the object now" in said
     (said,) = model.plan(cloud, goal=boxed(0.34, 0.12, (0, 0.035), [0.1, 0])).warnings
     assert said.startswith("the goal: this is not the trained object: it is 3")
     assert model.plan(cloud, goal=cloud[:20], cost="chamfer").warnings == ()

@@ -220,6 +220,39 @@ def test_strokes_with_arrays_exchanged_or_of_another_frame_are_refused(tmp_path,
         write_strokes(measured(tmp_path / "two.npz", **changes), tmp_path / "out")
 
 
+ORDER = np.random.default_rng(1).permutation(36)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda after, before: after[:, ORDER], "stroke 0: particles leave those beside them in 12 of 12 strokes"),
+        (lambda after, before: np.roll(after, 1, axis=1), "stroke 0: particles leave"),
+        (
+            lambda after, before: np.concatenate([after[:7], after[7:8, ORDER], after[8:]]),
+            "stroke 7: particles leave those beside them in 1 of 12",
+        ),
+        (lambda after, before: after[:, ::-1], "turn what they push by 180 deg"),
+        (lambda after, before: 1.1 * after - 0.1 * after.mean(1, keepdims=True), "1.1 times as large after"),
+        (lambda after, before: before, "none of 12 strokes moves the object"),
+    ],
+)
+def test_particles_that_are_not_those_before_are_refused(tmp_path, change, said):
+    with np.load(measured(tmp_path / "one.npz")) as arrays:
+        before, after = arrays["before"], arrays["after"]
+    with pytest.raises(DataError, match=said):
+        write_strokes(measured(tmp_path / "two.npz", after=change(after, before)), tmp_path / "out")
+
+
+def test_strokes_that_end_beside_the_object_are_said(tmp_path, caplog):
+    with np.load(measured(tmp_path / "one.npz")) as arrays:
+        away = {name: arrays[name] - [0.06, 0.0] for name in ("start", "end")}
+    write_strokes(tmp_path / "one.npz", tmp_path / "out")
+    assert not caplog.records
+    write_strokes(measured(tmp_path / "two.npz", **away), tmp_path / "out")
+    assert "12 of 12 strokes end" in caplog.text
+
+
 def test_strokes_are_those_of_the_file_that_is_given_now(tmp_path):
     """Even if that file is older than what was made of another one, or has fewer."""
     write_strokes(measured(tmp_path / "one.npz", strokes=4), tmp_path / "out")

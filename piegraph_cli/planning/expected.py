@@ -35,6 +35,10 @@ OTHER = 0.15
 """Share of the points from which what lies apart is another thing, no stray points."""
 HEIGHTS, LIFTED = (5, 95), 0.012
 """Percentiles of a cloud's heights, and how far (m) both may lie from those of another on the same table."""
+RAISED, EVEN = 0.006, 0.003
+"""Metres by which all of a goal is higher or lower from which that is said, and by how much its low and its high differ."""
+SCALED, ALIKE = 0.06, 0.02
+"""Share by which a goal is larger or smaller in length and width from which that is said, and by how much these differ."""
 UNITS, TOO_LARGE = (("millimetres", 1000.0), ("centimetres", 100.0), ("inches", 39.37)), 20.0
 """What others write for metres, and how many times too large a thing is from which its numbers are no metres."""
 FOLDED = 1.65
@@ -143,6 +147,27 @@ def check_shape(target: Goal, sizes: Sizes) -> list[str]:
         "the goal: it has nowhere the shape that the object has now, and this object was never seen to bend: another object, "
         "or another part of it\n  try: a goal cloud of this object, seen by the same cameras; --goal-at or --goal-pose"
     ]
+
+
+def check_against(goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes) -> list[str]:
+    """A word on a goal cloud [G, 3] (m) that is the object of a cloud [P, 3] (m), but for its scale or height.
+
+    Both are compared by `count` particles; what bends has no size of its own.
+    """
+    said = []
+    low, high = np.percentile(goal[:, 2], HEIGHTS) - np.percentile(cloud[:, 2], HEIGHTS)
+    if min(abs(low), abs(high)) > RAISED and abs(high - low) < EVEN:
+        side = "above" if low > 0 else "below"
+        text = f"the goal: it lies {abs(low + high) * 500:.0f} mm {side} the table that the object lies on"
+        said.append(f"{text}\n  try: look at object and goal with one calibration")
+    there, now = (size_of(choose_particles(points, count)) for points in (goal, cloud))
+    grown = there.length / now.length, there.width / now.width
+    if not sizes.bends and min(abs(one - 1) for one in grown) > SCALED and abs(grown[0] - grown[1]) < ALIKE:
+        text = f"the goal: it is {np.mean(grown):.2f} times as large as the object now, lengthwise and across"
+        said.append(
+            f"{text}\n  try: check depth_scale, K and units of the one of them that is not as large as the thing"
+        )
+    return said
 
 
 def _no_metres(ratio: float) -> tuple[str, str] | None:

@@ -13,7 +13,14 @@ from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.particles import choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
-from piegraph_cli.planning.expected import check_folds, check_goal, check_object, check_shape, require_level
+from piegraph_cli.planning.expected import (
+    check_against,
+    check_folds,
+    check_goal,
+    check_object,
+    check_shape,
+    require_level,
+)
 from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.path import top_of
@@ -87,6 +94,8 @@ def answer(
     target = wanted(trained, params, cloud, seen, there, corresponds)
     if there is not None and trained is not None and trained.sizes is not None:
         said = check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
+        if not said and len(there) >= len(seen) and rest is None:
+            said = check_against(thinned(there, STATE_POINTS), thinned(cloud, STATE_POINTS), len(seen), trained.sizes)
         warnings += said or (check_shape(target, trained.sizes) if len(there) >= len(seen) else [])
     shape = seen if rest is None else moved(finite(rest, "rest"), T)
     found = Answer(**vars(plan_once(trained, seen, target, params, device, shape)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -23,6 +24,10 @@ FAMILIES = {
     "DICT_ARUCO_MIP_": ("36h12",),
 }
 """OpenCV's dictionaries: those of one family begin alike, and the largest holds the smaller ones."""
+QUADS, BIT = 60, 8
+"""Things in an image that are looked at as markers, the largest, and pixels across that each of their bits gets."""
+WRONG_BITS = 0.3
+"""Of the bits by which markers of a dictionary differ, how many may be read wrong."""
 FITS = 0.15
 """Edges of a marker by which markers may lie beside where a board has them."""
 
@@ -166,12 +171,49 @@ def _middles(board: Board) -> dict[int, np.ndarray]:
 
 def _other_dictionary(images: Sequence[np.ndarray], board: Board) -> str:
     """The smallest dictionary whose markers are in the images, where it is not the board's; empty where there is none."""
+    cells: dict[tuple[int, int], list[list[np.ndarray]]] = {}
+    quads = [_quads(image, board) for image in images[::ASKED]]
     found: list[tuple[int, str]] = []
-    for family, sizes in FAMILIES.items():
-        largest = replace(board, dictionary=f"{family}{sizes[-1]}")
-        numbers = max((_markers(image, largest) for image in images[::ASKED]), key=len, default={})
+    for (family, sizes), border in product(FAMILIES.items(), (1, 2) if board.kind == "grid" else (1,)):
+        codes = replace(board, dictionary=f"{family}{sizes[-1]}").codes()
+        size = codes.markerSize, border
+        if size not in cells:
+            cells[size] = [_codes(grey, corners, *size) for grey, corners in quads]
+        numbers = max(({n for one in seen if (n := _number(one, codes)) >= 0} for seen in cells[size]), key=len)
         if len(numbers) >= ENOUGH:
             enough = [size for size in sizes if not size.isdigit() or int(size) > max(numbers)]
             found.append((len(numbers), f"{family}{enough[0]}"))
     best = max(found)[1] if found else ""
     return best if best != board.dictionary else ""
+
+
+def _quads(image: np.ndarray, board: Board) -> tuple[np.ndarray, list[np.ndarray]]:
+    """A grey image of an RGB one, and the corners [4, 2] (px) of the largest things in it that may be markers."""
+    import cv2
+
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    corners, _, others = cv2.aruco.ArucoDetector(board.codes()).detectMarkers(grey)
+    quads = [np.reshape(one, (4, 2)).astype(np.float32) for one in (*corners, *others)]
+    return grey, sorted(quads, key=cv2.contourArea, reverse=True)[:QUADS]
+
+
+def _codes(grey: np.ndarray, quads: Sequence[np.ndarray], size: int, border: int) -> list[np.ndarray]:
+    """The bits uint8 [size, size] of those of quads [4, 2] (px) that have a black border, so many bits wide."""
+    import cv2
+
+    side = size + 2 * border
+    square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) * BIT - 0.5
+    inside, found = np.s_[border:-border, border:-border], []
+    for quad in quads:
+        flat = cv2.warpPerspective(grey, cv2.getPerspectiveTransform(quad, square), (side * BIT, side * BIT))
+        _, black = cv2.threshold(flat, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+        bits = (black.reshape(side, BIT, side, BIT)[:, 2:-2, :, 2:-2].mean((1, 3)) > 0.5).astype(np.uint8)
+        if bits.sum() == bits[inside].sum() > 0:
+            found.append(np.ascontiguousarray(bits[inside]))
+    return found
+
+
+def _number(bits: np.ndarray, codes) -> int:
+    """The number of the marker of a dictionary that has these bits [size, size], -1 for none."""
+    known, number, _ = codes.identify(bits, WRONG_BITS)
+    return int(number) if known else -1

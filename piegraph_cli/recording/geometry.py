@@ -13,6 +13,7 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.causes import Cause, Fault, fault_of, find_cause
 from piegraph_cli.recording.checks import Check, check_images, judged
 from piegraph_cli.recording.edges import find_flip, match_outlines, standing
+from piegraph_cli.recording.lenses import find_lens
 from piegraph_cli.recording.pairs import check_pairs
 from piegraph_cli.recording.planes import Plane, Rays, find_planes
 from piegraph_cli.recording.texture import check_texture, picture_of
@@ -143,6 +144,9 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
             table,
             _badness,
         )
+        if not cause.tested:
+            intrinsics = [look.camera.K for look in looks]
+            cause = find_lens([look.planes for look in looks], poses, intrinsics, left, table, _badness) or cause
         causes |= dict.fromkeys(cause.cameras, cause)
         left = [k for k in left if k not in cause.cameras]
     checks = []

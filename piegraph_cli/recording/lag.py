@@ -1,29 +1,38 @@
-"""Depth that was paired with colour of another moment: what moves in depth against what moves in colour, camera by camera."""
+"""Depth that was paired with colour of another moment: what changes in depth against what changes in colour, camera by camera.
+
+Both are pixels of one place, so what changes from a frame to the next changes in the same pixels of both, or so many frames
+later in all of them.
+"""
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from piegraph_cli.recording.checks import Check, Verdict
-from piegraph_cli.recording.clocks import CELLS, FEWEST, TOLD, WIDTH, changes, compare_clocks
+from piegraph_cli.recording.clocks import CELLS, WIDTH
 
 FAINT, STRONG = 0.015, 0.075
 """Metres against the still scene: below is noise, above all count alike."""
 WEIGHT = 40.0
 """What the strongest counts, as in colour."""
 MOST_LATE = 1.5
-"""Lags are looked for up to so many seconds."""
-OFF, GAIN = (0.5, 0.65), (1.3, 1.45)
-"""Share of a frame's time, and times that less is explained without the lag: beyond these it is doubtful, bad.
+"""Lags are looked for up to so many seconds, and a third of the frames."""
+FEWEST, LONG = 8, 16
+"""Frames from which something is said, and from which a part of a frame is told."""
+CHANGE, ALIKE = 0.08, 0.25
+"""How often a pixel has to change, the mean over the image, in colour and in depth, and how well the changes have to agree."""
+OFF, SHORT_OFF, SHORTEST = 0.3, 0.6, 0.025
+"""Frames of a lag that is doubtful, in long sequences and in short ones, and the least of it (s).
 
-Good recordings at 5 Hz end at 0.3 and 1.3, a frame too late has 0.7 and 1.3 and more.
+Good recordings at 5 Hz end at 0.17 frames; half a frame has 0.15 to 0.87.
+"""
+BAD, GAIN, SHORT_GAIN = 0.6, 1.25, 1.45
+"""Frames, and times that the changes agree better with the lag, in long sequences and in short ones: beyond both it is bad.
+
+A frame too late has 0.92 and 1.4 and more; good recordings gain nothing, parts of them of 8 to 14 frames up to 1.4.
 """
 MOST = 150
 """Frames that are looked at: those on end in which most happens in colour."""
-SHORT, SHORT_LATE = 8, 3.0
-"""Frames from which something is said of short sequences, and lags, in frames, that are looked for in them."""
-SHORT_OFF, SHORT_GAIN = 0.7, (1.12, 1.25)
-"""Frames, and times that colour and depth of all cameras overlap more with the lag: beyond it is doubtful, bad."""
 
 
 def moving_in_depth(images: Iterable[np.ndarray], scale: float) -> np.ndarray:
@@ -55,24 +64,53 @@ def busiest(seen: np.ndarray) -> slice:
 def check_lags(
     names: Sequence[str], color: Sequence[np.ndarray], depth: Sequence[np.ndarray], times: Sequence[np.ndarray]
 ) -> list[Check]:
-    """A check of each camera whose depth shows another moment than its colour; of short sequences one of all cameras.
+    """A check of each camera whose depth shows another moment than its colour; of all, where no single one tells enough.
 
     `color` and `depth` [F, H', W'] are what is moving in them at `times` [F] (s).
     """
-    shortest = min(map(len, times))
-    if shortest < FEWEST:
-        return _check_short(names, color, depth, times) if shortest >= SHORT else []
-    checks = []
+    agreed, told = [], []
     for name, seen, measured, at in zip(names, color, depth, times, strict=True):
-        found = compare_clocks([changes(seen), changes(measured)], [at, at], MOST_LATE)
-        if found is None or found.fit[1] < TOLD:
+        if len(at) < FEWEST:
             continue
-        late, gain, step = float(found.late[1]), float(found.gain[1]), found.unsure * found.step
-        if abs(late) < OFF[0] * step or gain < GAIN[0]:
-            continue
-        bad = abs(late) > OFF[1] * step and gain > GAIN[1]
-        checks.append(_check((name,), late, found.step, OFF[0] * step, "bad" if bad else "doubtful"))
-    return checks
+        ours, theirs = (np.abs(np.diff(moved / WEIGHT, axis=0)) for moved in (seen, measured))
+        most = int(np.clip(MOST_LATE / float(np.median(np.diff(at))), 2, len(at) // 3))
+        agreed.append(agreement(ours, theirs, most))
+        if min(one.sum() / one[0].size for one in (ours, theirs)) > CHANGE:
+            told.append((name, agreed[-1], at))
+    if told:
+        return [check for name, agrees, at in told for check in _judged((name,), agrees, at)]
+    if len(agreed) < 2 or len({len(one) for one in agreed}) > 1:
+        return []
+    return _judged(tuple(names), np.mean(agreed, axis=0), times[0])
+
+
+def agreement(color: np.ndarray, depth: np.ndarray, most: int) -> np.ndarray:
+    """The correlation [2 `most` + 1] of changes [F, H', W'] in colour with those in depth so many frames earlier to later."""
+    found = []
+    for late in range(-most, most + 1):
+        one, other = color[max(0, -late) : len(color) - max(0, late)], depth[max(0, late) : len(depth) + min(0, late)]
+        found.append(float((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum() + 1e-9)))
+    return np.array(found)
+
+
+def lag_of(agrees: np.ndarray) -> float:
+    """The frames by which depth is late, in parts of one, by the parabola through the best of an `agreement` [2 K + 1]."""
+    best, middle = int(agrees.argmax()), len(agrees) // 2
+    if not 0 < best < len(agrees) - 1:
+        return float(best - middle)
+    before, here, after = agrees[best - 1 : best + 2]
+    return float(best - middle + 0.5 * (before - after) / min(before - 2 * here + after, -1e-9))
+
+
+def _judged(names: tuple[str, ...], agrees: np.ndarray, times: np.ndarray) -> list[Check]:
+    """The check of cameras by the `agreement` of their depth and colour at times [F] (s), where it is not good."""
+    step, late = float(np.median(np.diff(times))), lag_of(agrees)
+    long = len(times) >= LONG
+    threshold = max(OFF if long else SHORT_OFF, SHORTEST / step)
+    if agrees.max() < ALIKE or abs(late) < threshold:
+        return []
+    bad = abs(late) > BAD and agrees.max() > (GAIN if long else SHORT_GAIN) * agrees[len(agrees) // 2]
+    return [_check(names, late * step, step, threshold * step, "bad" if bad else "doubtful")]
 
 
 def _check(names: tuple[str, ...], late: float, step: float, threshold: float, verdict: Verdict) -> Check:
@@ -81,27 +119,3 @@ def _check(names: tuple[str, ...], late: float, step: float, threshold: float, v
     cause = "depth and colour of a frame are of different moments"
     remedy = "pair depth and colour by their own time stamps, or move the numbers of the depth images by that"
     return Check("clocks", names, late, "s", threshold, verdict, text, cause, remedy)
-
-
-def _check_short(
-    names: Sequence[str], color: Sequence[np.ndarray], depth: Sequence[np.ndarray], times: Sequence[np.ndarray]
-) -> list[Check]:
-    """Too few frames to tell one camera's lag: that of all cameras, by how far what moves overlaps in both."""
-    tried = np.arange(-round(10 * SHORT_LATE), round(10 * SHORT_LATE) + 1) / 10
-    fits = np.mean([[_overlap(c, d, late) for late in tried] for c, d in zip(color, depth, strict=True)], axis=0)
-    late, gain = float(tried[fits.argmax()]), float(fits.max() / max(fits[len(tried) // 2], 1e-9))
-    if abs(late) < SHORT_OFF or gain < SHORT_GAIN[0]:
-        return []
-    step = float(np.median([np.median(np.diff(at)) for at in times]))
-    verdict: Verdict = "bad" if gain > SHORT_GAIN[1] else "doubtful"
-    return [_check(tuple(names), late * step, step, SHORT_OFF * step, verdict)]
-
-
-def _overlap(color: np.ndarray, depth: np.ndarray, late: float) -> float:
-    """The correlation of what moves [F, H', W'] in colour with what moves in depth so many frames later."""
-    at = np.arange(len(color)) + late
-    inside = (at >= 0) & (at <= len(color) - 1)
-    first = np.floor(at[inside]).astype(int).clip(0, len(color) - 2)
-    share = (at[inside] - first)[:, None, None]
-    one, other = color[inside], depth[first] * (1 - share) + depth[first + 1] * share
-    return float((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum() + 1e-9))

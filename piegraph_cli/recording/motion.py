@@ -15,7 +15,7 @@ from piegraph_cli.errors import DataError
 from piegraph_cli.params import Mode, mode_number
 from piegraph_cli.recording.folders import entries_of
 from piegraph_cli.recording.motion_csv import read_csv
-from piegraph_cli.recording.motion_doubts import find_doubts, find_exchanged, find_lost
+from piegraph_cli.recording.motion_doubts import find_doubts, find_exchanged, find_lost, find_torn
 from piegraph_cli.recording.motion_episode import is_episode, read_episode
 from piegraph_cli.recording.points import read_arrays
 
@@ -239,6 +239,9 @@ def _check_motion(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
         frame, taken = exchanged
         named = ", ".join(map(str, taken[:5])) + (" and more" if len(taken) > 5 else "")
         raise DataError(f"{len(taken)} particles take each other's places: {named}", place(frame), ANEW)
+    torn = find_torn(arrays["positions"].astype(float))
+    if torn:
+        raise DataError(f"{torn[1]} particles leave those beside them at once", place(torn[0]), ANEW)
     height = float(np.median(arrays["positions"][..., 2]))
     if height < BELOW:
         message = f"half of the particles lie more than {-height * 1000:.0f} mm below the table z = 0"

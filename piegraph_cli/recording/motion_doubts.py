@@ -10,12 +10,24 @@ from piegraph_cli.recording.timing import COUNTED, COUNTS, LONGEST_GAP, MANY
 NEIGHBOURS = 6
 AWAY, NEAR = 0.75, 0.25
 """Spacings: farther from where its neighbours take it a particle is elsewhere, nearer to another's place it is there."""
+TORN, TORN_SHARE = 2.5, 0.04
+"""Times as far as before, or as all are apart, from its neighbours a particle is torn from them; a share of all."""
 LEAP = 0.02
 """Metres that a marker leaps to the origin where that stands for a lost one."""
 UNTOUCHED, UNTOUCHED_SHARE = 0.02, 0.3
 """Metres, and a share of all motion, that an object may move while nothing touches it."""
 STILL, SEVERAL = 1e-3, 8
 """Metres: an object that moves less was not moved; of fewer frames that may be so."""
+SLOW = 1.0
+"""Seconds from frame to frame at which nobody tracks: those may be milliseconds."""
+MOVES, FEWEST_MOVES = 0.1, 8
+"""Share of its fastest from which an object moves, and frames in which it has to."""
+LATEST, UNEVEN, EVENER, LAGS = 1.0, 0.006, 3.0, 1.5
+"""Seconds that clocks are tried; metres by which a hand's distance from what it moves varies, and times less with another
+clock, and frames that it is off: from these on it is told.
+"""
+GAP_VARIES = 0.1
+"""Metres by which a hand's distance from what it touches varies where it does not touch it all the while."""
 FAST = 3.0
 """Metres a second that no hand that pushes or picks goes."""
 
@@ -48,6 +60,19 @@ def _closed(particles: np.ndarray, places: np.ndarray) -> list[int]:
     return sorted(took) if len(took) > 1 else []
 
 
+def find_torn(positions: np.ndarray) -> tuple[int, int] | None:
+    """The first frame in which particles [T, N, 3] (m) are away from those beside them all at once, and how many are.
+
+    Whatever an object does, what lies side by side stays so: particles that do not were written in another order.
+    """
+    count = positions.shape[1]
+    near = cKDTree(positions[0]).query(positions[0], k=min(NEIGHBOURS, count - 1) + 1)[1][:, 1:]
+    far = np.stack([np.median(np.linalg.norm(p[near] - p[:, None], axis=2), axis=1) for p in positions])
+    torn = (far[1:] > TORN * np.maximum(far[:-1], np.median(far[0]))).sum(1)
+    wrong = np.flatnonzero(torn >= max(2.0, TORN_SHARE * count))
+    return (int(wrong[0]) + 1, int(torn[wrong[0]])) if len(wrong) else None
+
+
 def find_lost(points: np.ndarray) -> tuple[int, ...] | None:
     """Where points [T, ..., 3] (m) first leap to the origin itself, as lost markers are written: indices of one."""
     lost = (points == 0).all(-1)
@@ -60,7 +85,8 @@ def find_lost(points: np.ndarray) -> tuple[int, ...] | None:
 
 def find_doubts(positions: np.ndarray, hand: np.ndarray, time: np.ndarray, contact: np.ndarray) -> list[str]:
     """Warnings of particles [T, N, 3], end-effector [T, 3] (m, NaN where unknown), times [T] (s) and contact [T]."""
-    return [*_doubts_of_time(hand, time), *_doubts_of_motion(positions, contact)]
+    found = [*_doubts_of_time(hand, time), *_doubts_of_motion(positions, contact)]
+    return found + ([] if found else _doubts_of_touch(positions, hand, time, contact))
 
 
 def _doubts_of_time(hand: np.ndarray, time: np.ndarray) -> list[str]:
@@ -68,6 +94,8 @@ def _doubts_of_time(hand: np.ndarray, time: np.ndarray) -> list[str]:
     usual = float(np.median(steps))
     if 1 <= usual <= COUNTED and len(steps) > 1 and (steps == usual).all() and (time == np.round(time)).all():
         found.append(f"times are whole numbers, {usual:g} apart: are these frame numbers?\n  try: {COUNTS}")
+    elif usual >= SLOW and len(time) >= SEVERAL:
+        found.append(f"frames are {usual:.3g} s apart: are these milliseconds?\n  try: times in seconds")
     longest = int(steps.argmax())
     if steps[longest] > max(LONGEST_GAP, MANY * usual):
         found.append(
@@ -95,3 +123,62 @@ def _doubts_of_motion(positions: np.ndarray, contact: np.ndarray) -> list[str]:
             "have end-effector and particles one clock and one frame of reference, and is contact right?"
         ]
     return []
+
+
+def _doubts_of_touch(positions: np.ndarray, hand: np.ndarray, time: np.ndarray, contact: np.ndarray) -> list[str]:
+    """A hand that is now near, now far from what it is said to touch, and one that keeps its distance by another clock."""
+    trees = [cKDTree(points) for points in positions]
+    gaps = np.array(
+        [
+            tree.query(np.nan_to_num(at, nan=np.inf))[0] if np.isfinite(at).all() else np.nan
+            for tree, at in zip(trees, hand, strict=True)
+        ]
+    )
+    touching = gaps[contact & np.isfinite(gaps)]
+    if len(touching) >= SEVERAL:
+        near, far = np.quantile(touching, [0.1, 0.9])
+        if far - near > GAP_VARIES:
+            return [f"in contact the end-effector is {near:.2g} to {far:.2g} m from the object: is contact right?"]
+    late = find_late(positions, hand, time)
+    if late is None:
+        return []
+    side = "behind" if late > 0 else "ahead of"
+    return [
+        f"the end-effector is {abs(late):.2g} s {side} the particles: with that it keeps its distance from what it moves\n"
+        "  try: one clock for both"
+    ]
+
+
+def find_late(positions: np.ndarray, hand: np.ndarray, time: np.ndarray) -> float | None:
+    """Seconds by which a hand [T, 3] is behind the particles [T, N, 3] (m) that it moves at times [T] (s), if it is.
+
+    What moves a thing stays at one distance from it as long as that moves.
+    """
+    speed = np.zeros(len(time))
+    speed[1:] = np.linalg.norm(np.diff(positions, axis=0), axis=2).mean(1) / np.diff(time)
+    known = np.isfinite(hand).all(1)
+    moves = np.flatnonzero((speed > MOVES * speed.max()) & known)
+    if len(moves) < FEWEST_MOVES:
+        return None
+    runs = np.split(moves, np.flatnonzero(np.diff(moves) > 1) + 1)
+    runs = [run for run in runs if len(run) >= FEWEST_MOVES // 2]
+    middles = positions.mean(1)
+
+    def uneven(late: float) -> float:
+        off, count = 0.0, 0
+        for run in runs:
+            at = np.stack([np.interp(time[run] + late, time[known], axis) for axis in hand[known].T], 1)
+            near = np.linalg.norm(positions[run[0]] - at[0], axis=1).argsort()[:NEIGHBOURS]
+            for there in (positions[run][:, near].mean(1), middles[run]):
+                gaps = np.linalg.norm(at - there, axis=1)
+                off, count = off + float(((gaps - gaps.mean()) ** 2).sum()), count + len(run)
+        return (off / max(count, 1)) ** 0.5
+
+    step = float(np.median(np.diff(time)))
+    given = uneven(0.0)
+    if given < UNEVEN:
+        return None
+    tried = np.arange(-LATEST, LATEST + step / 4, max(step / 2, LATEST / 50))
+    found = [uneven(late) for late in tried]
+    best = int(np.argmin(found))
+    return float(tried[best]) if abs(tried[best]) >= LAGS * step and given > EVENER * found[best] else None

@@ -29,6 +29,10 @@ FARTHEST = 1e6
 EMPTY = 20
 """So many points at the origin itself are pixels without depth, as other programs write them."""
 
+ROWS, WHOLE_ROWS, SMOOTH = 32, 100, 0.02
+"""Rows and columns from which an array may be an image of points, one that lacks none, and the share of its size between
+pixels."""
+
 PER_FRAME = ("time", "mode", "contact", "end_effector", "residual", "visibility")
 PER_POINT = ("colors", "normals")
 """Arrays beside the points of an .npz whose length must agree with them."""
@@ -70,6 +74,9 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: 
         suffix = path.suffix or "a file without suffix"
         raise DataError(f"cannot read clouds from {suffix}", str(path), f"use {names}")
     frames = readers[kind](path)
+    if frame is None and isinstance(frames, np.ndarray) and is_organised(frames):
+        log.warning("%s: %s is taken for one organised cloud, a point per pixel", path, list(frames.shape))
+        frames = [frames.reshape(-1, 3)]
     index = len(frames) - 1 if frame is None else frame
     if not -len(frames) <= index < len(frames):
         raise DataError(f"has {len(frames)} frames, no frame {index}", str(path), "use 0 for the first")
@@ -93,6 +100,25 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: 
         )
         finite &= ~empty
     return points[finite]
+
+
+def is_organised(points: np.ndarray) -> bool:
+    """Whether points [A, B, 3] are those of an image's pixels, not frames of one cloud.
+
+    Pixels without depth are NaN or 0, which no frame's particles are; or points lie beside those of the pixels around.
+    """
+    if min(points.shape[:2]) < ROWS:
+        return False
+    zero = (points == 0).all(-1)
+    empty = ~np.isfinite(points).all(-1) | (zero if zero.sum() >= EMPTY else False)
+    if empty.any():
+        return not (empty.all(1) | ~empty.any(1)).all()  # frames are there or lost as a whole
+    if min(points.shape[:2]) < WHOLE_ROWS:
+        return False
+    size = float(np.ptp(points.reshape(-1, 3), axis=0).max())
+    steps = [float(np.quantile(np.linalg.norm(np.diff(points, axis=axis), axis=-1), 0.9)) for axis in (0, 1)]
+    travels = float(np.linalg.norm(points[-1].mean(0) - points[0].mean(0)))
+    return max(steps) < SMOOTH * size and travels > size / 4
 
 
 def check_size(path: Path) -> int:
@@ -124,7 +150,7 @@ def _read_npz(path: Path, key: str | None = None) -> Frames:
             if name not in arrays:
                 raise DataError(f"has no array {name}", str(path), f"it has {', '.join(list(arrays)[:8])}")
             shape, kind = arrays[name].shape, arrays[name].dtype.kind
-            if kind not in "fiu" or len(shape) not in (2, 3) or shape[-1] != 3:
+            if kind not in "fiu" or arrays[name].dtype == np.uint8 or len(shape) not in (2, 3) or shape[-1] != 3:
                 which = "first array," if key is None else "array"
                 message = (
                     f"its {which} {name}{',' if key is None else ''} is {arrays[name].dtype} {list(shape)}, not points"

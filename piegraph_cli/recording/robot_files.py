@@ -23,6 +23,8 @@ POINT_COLUMNS = "columns x,y,z of the tip (metres), and world_x,world_y,world_z,
 UNIT = 0.01
 """How far a quaternion's length may be from 1."""
 ALL = 1 << 30
+HANGS = 0.5
+"""How far down the base's z points, as a share, from which that is said."""
 APART = 2.0
 """Mean pixels that corners may be off in cameras that see the board together."""
 
@@ -78,6 +80,7 @@ def from_poses(recording: Path, sequences: Sequence[str], board: Board, file: Pa
     if base.residual.metres > POOR[0] or base.residual.degrees > POOR[1]:
         worst = max(off, key=lambda name: off[name])
         notes.append(f"poor: worst is {worst}, {1000 * off[worst]:.0f} mm off; more poses, and the robot at rest")
+    notes += _upside_down(base.T_world_robot)
     _keep(shots, base.T_world_robot, calibration=shots.sequences)
     return RobotBase(base.T_world_robot, methods, off, notes)
 
@@ -92,11 +95,22 @@ def from_points(recording: Path, board: Board, file: Path) -> RobotBase:
         raise DataError(error.message, str(file), error.hint) from None
     errors = dict(zip(names, off.tolist(), strict=True))
     notes = ["three points: nothing tells whether one is wrong; touch a fourth"] if len(names) == 3 else []
+    notes += _upside_down(T)
     if np.sqrt((off**2).mean()) > POOR[0]:
         worst = max(errors, key=lambda name: errors[name])
         notes.append(f"poor: worst is {worst}, {1000 * errors[worst]:.0f} mm off; check the robot's tool centre point")
     _keep(shots, T)
     return RobotBase(T, {}, errors, notes)
+
+
+def _upside_down(T_world_robot: np.ndarray) -> list[str]:
+    """A word where the base's z points down: points of a plane fit so when their axes are exchanged or mirrored."""
+    if T_world_robot[2, 2] > -HANGS:
+        return []
+    return [
+        "the robot's z would point down, as of one that hangs from above: if yours stands, x and y are exchanged in the "
+        "table, or one of x, y, z has the other sign"
+    ]
 
 
 def _keep(shots: Shots, T: np.ndarray, calibration: Sequence[Path] = ()) -> None:

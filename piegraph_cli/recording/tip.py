@@ -1,6 +1,6 @@
 """Whether an end-effector that others measured is where the cameras see something move: its clock, units and frame."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -24,6 +24,27 @@ SEEN, GAIN, ABSENT = 0.6, 0.15, 0.5
 On the sample the hand's tip has 0.81 to 0.93, 0.4 s aside at most 0.60, exchanged or mirrored axes at most 0.5.
 """
 
+Change = Callable[[np.ndarray], np.ndarray]
+HEIGHTS = (-0.3, -0.25, -0.2, -0.15, -0.12, -0.09, -0.06, 0.06, 0.09, 0.12, 0.15, 0.2, 0.25, 0.3)
+"""Metres by which a tip may be too high or too low."""
+
+
+def _lifted(by: float) -> Change:
+    return lambda place: place + np.array([0, 0, by])
+
+
+CHANGES: dict[str, Change] = {
+    **{f"{abs(by) * 100:.0f} cm {'lower' if by < 0 else 'higher'}": _lifted(by) for by in HEIGHTS},
+    "with x and y exchanged": lambda place: place[:, [1, 0, 2]],
+    "with x turned over": lambda place: place * [-1, 1, 1],
+    "with y turned over": lambda place: place * [1, -1, 1],
+    "with x and y turned over": lambda place: place * [-1, -1, 1],
+    "turned by 90 degrees": lambda place: place[:, [1, 0, 2]] * [-1, 1, 1],
+    "turned by -90 degrees": lambda place: place[:, [1, 0, 2]] * [1, -1, 1],
+    "with y and z turned over": lambda place: place * [1, -1, -1],
+}
+"""Other frames of reference of a tip [T, 3] (m), by what they are called."""
+
 PLACE = "move a robot's path by T_world_robot; say with ingest.tool_point where the tip is"
 
 
@@ -42,10 +63,10 @@ def check_tip(
     if np.ptp(tips[known], axis=0).max() < STILL:
         return [f"the end-effector never moves by more than {STILL * 1000:g} mm"]
 
-    def seen(late: float) -> float:
+    def seen(late: float, change: Change = lambda place: place) -> float:
         at = times[frames] + late
         places, after = (
-            np.stack([np.interp(t, times[known], axis, np.nan, np.nan) for axis in tips[known].T], 1)
+            np.stack([np.interp(t, times[known], axis, np.nan, np.nan) for axis in change(tips[known]).T], 1)
             for t in (at, at + STEP)
         )
         moves = np.linalg.norm(after - places, axis=1) > MOVES * STEP
@@ -57,7 +78,15 @@ def check_tip(
     if not np.isfinite(given) and not np.isfinite(shares).any():
         return [f"no camera sees the places where the end-effector moves\n  try: {PLACE}"]
     best = int(np.nanargmax(shares))
-    return _judged(float(np.nan_to_num(given)), float(shares[best]), float(tried[best]))
+    late, share = float(tried[best]), float(shares[best])
+    elsewhere = {name: seen(0.0, change) for name, change in CHANGES.items()}
+    name = max(elsewhere, key=lambda name: np.nan_to_num(elsewhere[name]))
+    if elsewhere[name] > max(share, SEEN, np.nan_to_num(given) + GAIN):
+        return [
+            f"at the end-effector's place something moves in {np.nan_to_num(given):.0%} of the frames, in "
+            f"{elsewhere[name]:.0%} were it {name}: is it the tip, in the cameras' world?\n  try: {PLACE}"
+        ]
+    return _judged(float(np.nan_to_num(given)), share, late)
 
 
 def _judged(given: float, share: float, late: float) -> list[str]:

@@ -40,6 +40,7 @@ STAGE = Stage(
 
 def run(inputs: dict[str, Any], params: DatasetParams, context: Context) -> Output:
     """Build the dataset of all tracked sequences, or of those that a split by name names."""
+    from piegraph_cli.dynamics.alike import find_unlike
     from piegraph_cli.dynamics.dataset import build_dataset
     from piegraph_cli.dynamics.splits import PARTS, chosen_sequences, with_split
 
@@ -54,6 +55,7 @@ def run(inputs: dict[str, Any], params: DatasetParams, context: Context) -> Outp
         f"sequences: {split}",
     ]
     left, warnings = _left_out(found)
+    warnings += find_unlike({name: tracks[name] for name in chosen})
     if len(chosen) < len(tracks):
         quality.append(f"{counted(len(tracks) - len(chosen), 'sequence')} in no part of the split")
     return Output(arrays, "; ".join(quality + left), warnings)

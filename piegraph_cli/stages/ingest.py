@@ -118,7 +118,7 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=4,
+    version=5,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
     settings=_settings,

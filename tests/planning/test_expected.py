@@ -12,7 +12,7 @@ from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.particles import Sizes, _rectangle, choose_particles
 from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
-from piegraph_cli.planning.expected import check_folds, check_object, require_level
+from piegraph_cli.planning.expected import check_against, check_folds, check_object, require_level
 from piegraph_cli.planning.goals import Goal, move_in_plane
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
@@ -94,6 +94,8 @@ def test_a_goal_that_is_another_object_is_said_and_planned_for_all_the_same():
     model = Model("static", trained("tblock"), PlanParams(samples=8, cem_iterations=1))
     cloud = seen("tblock")[2][0]
     assert model.plan(cloud, goal=cloud + np.float32([0.1, 0, 0])).warnings == ()
+    (said,) = model.plan(cloud, goal=scaled(cloud, 1.1) + np.float32([0.1, 0, 0])).warnings
+    assert "1.10 times as large as the object now" in said
     (said,) = model.plan(cloud, goal=boxed(0.34, 0.12, (0, 0.035), [0.1, 0])).warnings
     assert said.startswith("the goal: this is not the trained object: it is 3")
     assert model.plan(cloud, goal=cloud[:20], cost="chamfer").warnings == ()
@@ -200,3 +202,22 @@ def test_particles_that_were_tracked_bring_their_rest_shape():
     assert found.warnings == ()
     with pytest.raises(DataError, match="50 particles, 49 at rest"):
         model.plan(folded, goal_pose=(0.1, 0, 0), rest=rest[1:])
+
+
+def scaled(cloud: np.ndarray, factor: float) -> np.ndarray:
+    middle = cloud.mean(0) * [1, 1, 0]
+    return ((cloud - middle) * factor + middle).astype(np.float32)
+
+
+def test_a_goal_of_another_scale_or_height_is_said():
+    sizes, _, (cloud, *others) = seen("tblock")
+    for goal in (*others, move_in_plane(cloud, (0.1, 0.05, 1.0)), cloud[cloud[:, 0] < np.quantile(cloud[:, 0], 0.9)]):
+        assert check_against(goal, cloud, 50, sizes) == []
+    for factor in (0.9, 1.1):
+        (said,) = check_against(scaled(cloud, factor) + np.array([0.1, 0, 0]), cloud, 50, sizes)
+        assert f"it is {factor:.2f} times as large as the object now" in said
+    for lift in (0.01, -0.01):
+        (said,) = check_against(cloud + np.array([0.1, 0, lift]), cloud, 50, sizes)
+        assert f"it lies 10 mm {'above' if lift > 0 else 'below'} the table" in said
+    bending, _, (rope, bent, *_) = seen("rope-bendy")
+    assert check_against(bent, rope, 50, bending) == []

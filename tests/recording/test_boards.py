@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.errors import DataError
+from piegraph_cli.recording.board_trouble import why_not_found
 from piegraph_cli.recording.boards import Board, find_corners
 from piegraph_cli.recording.bundle import Bundle, _Problem
 from piegraph_cli.recording.calibration import Sightings, places, solve
@@ -233,3 +234,17 @@ def test_corners_of_a_grid_are_those_of_its_tags():
     np.testing.assert_allclose(below[:12], corners[12:])
     np.testing.assert_allclose(replace(grid, turns=1).corners()[:4], corners[[1, 2, 3, 0]])
     assert np.isnan(find_corners([BLANK], grid)).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["DICT_7X7_1000", "DICT_APRILTAG_36h10", "DICT_ARUCO_ORIGINAL", "DICT_ARUCO_MIP_36h12"]
+)
+def test_markers_of_every_dictionary_are_named(name):
+    printed = replace(Board(), dictionary=name).make().generateImage((560, 400), marginSize=20)
+    image = np.full((480, 640), 130, np.uint8)
+    image[40:440, 40:600] = printed // 2 + 50
+    noisy = image + np.random.default_rng(0).normal(0, 4, image.shape)
+    picture = np.repeat(noisy.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    expected = name.replace("_1000", "_50")
+    assert why_not_found([picture], Board()) == f"the markers are of {expected}: --dictionary {expected}"
+    assert "no marker is seen" in why_not_found([np.full_like(picture, 90)], Board())

@@ -242,6 +242,27 @@ def test_uncommon_slips_are_bad_and_named_too(slip, chosen):
     assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
 
 
+def with_K(views, factor):
+    return [replace(v, camera=replace(v.camera, K=v.camera.K * factor)) for v in views]
+
+
+@pytest.mark.parametrize("factor", [1.1, 0.9])
+def test_focal_lengths_of_another_lens_are_named(factor):
+    found = told(with_K(boxes_on_a_table(), np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])))
+    assert any(verdict == "bad" and f"focal lengths {1 / factor:.2f}"[:-1] in text for verdict, text in found), found
+
+
+@pytest.mark.parametrize("factor", [2.0, 1.25])
+def test_intrinsics_of_images_before_they_were_resized_are_named(factor):
+    found = told(with_K(boxes_on_a_table(), np.array([[factor], [factor], [1]])))
+    near = [
+        float(of[1])
+        for verdict, text in found
+        if verdict == "bad" and (of := re.search("K of images about ([0-9.]+)", text))
+    ]
+    assert near == [pytest.approx(1 / factor, abs=0.03)], found
+
+
 def test_depth_of_any_unit_is_told_by_several_cameras():
     found = told(scales(1 / 256)(boxes_on_a_table()))
     assert [verdict for verdict, _ in found] == ["bad"]

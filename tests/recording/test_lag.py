@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from piegraph_cli.recording.clocks import moving
-from piegraph_cli.recording.lag import MOST, busiest, check_lags, moving_in_depth
+from piegraph_cli.recording.lag import MOST, agreement, busiest, check_lags, lag_of, moving_in_depth
 from tests.recording.test_clocks import STEP, TIMES, VIEWS, film, path
 
 
@@ -41,12 +41,35 @@ def test_one_camera_whose_depth_is_frames_late_is_named(frames):
     assert check.cause == "depth and colour of a frame are of different moments"
 
 
-def test_few_frames_tell_of_all_cameras_together():
+def test_half_a_frame_is_doubtful():
+    (check,) = told([0, STEP / 2])
+    assert (check.cameras, check.verdict) == (("cam1",), "doubtful")
+    assert check.figure == pytest.approx(STEP / 2, abs=0.05)
+
+
+@pytest.mark.parametrize("frames", [1, 2, -1])
+def test_few_frames_of_one_camera_tell(frames):
+    (check,) = told([frames * STEP], slice(4, 15))
+    assert (check.cameras, check.verdict) == (("cam0",), "bad")
+    assert check.figure == pytest.approx(frames * STEP, abs=0.1)
+    assert told([frames * STEP], slice(4, 11)) == []
+    assert told([0], slice(4, 15)) == []
+
+
+def test_where_no_camera_tells_enough_all_do_together(monkeypatch):
+    monkeypatch.setattr("piegraph_cli.recording.lag.CHANGE", 9.0)
     (check,) = told([2 * STEP] * 2, slice(4, 15))
-    assert check.cameras == ("cam0", "cam1")
-    assert check.verdict == "bad"
-    assert check.figure == pytest.approx(2 * STEP, abs=0.1)
-    assert told([2 * STEP] * 2, slice(4, 10)) == []
+    assert (check.cameras, check.verdict) == (("cam0", "cam1"), "bad")
+    assert told([2 * STEP], slice(4, 15)) == []
+
+
+def test_lags_are_told_in_parts_of_a_frame():
+    rng = np.random.default_rng(0)
+    moved = rng.random((30, 4, 5)) ** 4
+    assert lag_of(agreement(moved, moved, 3)) == pytest.approx(0, abs=0.1)
+    assert lag_of(agreement(moved, np.roll(moved, 2, 0), 3)) == pytest.approx(2, abs=0.1)
+    between = (moved + np.roll(moved, 1, 0)) / 2
+    assert lag_of(agreement(moved, between, 3)) == pytest.approx(0.5, abs=0.1)
 
 
 def test_of_long_sequences_the_busiest_part_is_looked_at():

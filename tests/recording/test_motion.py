@@ -345,3 +345,45 @@ def test_tables_of_spreadsheets_of_other_countries_are_read(tmp_path, mark, poin
     lines = [mark.join(names), *(mark.join(str(value).replace(".", point) for value in row) for row in rows)]
     path.write_bytes(("\r\r\n".join(lines) + "\r\r\n").encode("utf-8-sig"))
     np.testing.assert_allclose(read(path).positions, motion()["particles"], atol=1e-6)
+
+
+def grid(turned=0.0):
+    """A block of 6 x 8 markers that a hand pushes along y from the eighth of 30 frames on, at 30 Hz."""
+    x, y = np.meshgrid(np.arange(8) * 0.02, np.arange(6) * 0.02)
+    rest = np.stack([x.ravel(), y.ravel(), np.full(48, 0.01)], 1)
+    gone = np.clip(np.arange(30) - 8, 0, 14)[:, None] ** 1.5 * 0.002
+    particles, hand = np.repeat(rest[None], 30, 0), np.repeat([[0.07, -0.02, 0.02]], 30, 0)
+    particles[..., 1] += gone
+    hand[:, 1] += gone[:, 0] - np.clip(8 - np.arange(30), 0, 8) * 0.01
+    return {"particles": particles, "end_effector": hand, "times": np.arange(30) / 30}
+
+
+@pytest.mark.parametrize("order", [np.roll(np.arange(48), 1), np.random.default_rng(0).permutation(48)])
+def test_an_order_that_changes_while_all_moves_is_named_with_the_frame(tmp_path, order):
+    data = grid()
+    assert read(write(tmp_path, ".npz", data)).warnings == []
+    data["particles"][15:] = data["particles"][15:, order] + [0, 0.05, 0]
+    with pytest.raises(DataError, match=r"frame 15: .* particles (leave those beside them|take each other)"):
+        read(write(tmp_path, ".npz", data))
+
+
+@pytest.mark.parametrize("frames", [4, -4])
+def test_a_hand_on_another_clock_is_said_with_the_seconds(tmp_path, frames):
+    data = grid()
+    data["end_effector"] = data["end_effector"][np.clip(np.arange(30) - frames, 0, 29)]
+    data["contact"] = (np.arange(30) > 3).astype(int)
+    (said,) = read(write(tmp_path, ".npz", data)).warnings
+    assert f"the end-effector is 0.14 s {'behind' if frames > 0 else 'ahead of'} the particles" in said
+
+
+def test_contact_that_is_said_from_afar_is_doubted(tmp_path):
+    data = grid() | {"contact": np.ones(30, int)}
+    data["end_effector"][:8, 1] -= 0.1
+    (said,) = read(write(tmp_path, ".npz", data)).warnings
+    assert "m from the object: is contact right?" in said
+
+
+def test_seconds_between_frames_are_doubted(tmp_path):
+    data = grid()
+    data["times"] = np.arange(30) * 33.333 / 10
+    assert "frames are 3.33 s apart: are these milliseconds?" in " ".join(read(write(tmp_path, ".npz", data)).warnings)

@@ -406,3 +406,38 @@ def test_pixels_without_depth_and_what_git_lfs_left_are_told(tmp_path, caplog):
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
     with pytest.raises(DataError, match="pointer of Git LFS"):
         read_points(path, None, {})
+
+
+def picture(rows=120, columns=160):
+    """Points [H, W, 3] (m) of the pixels of a camera that looks down on a box."""
+    row, column = np.mgrid[:rows, :columns]
+    depth = np.where((row > 20) & (row < 60) & (column > 30) & (column < 60), 0.75, 0.8)
+    return np.stack([(column - 80) * depth / 150, (60 - row) * depth / 150, 0.8 - depth], -1)
+
+
+@pytest.mark.parametrize("nothing", [None, np.nan, 0.0])
+def test_a_point_per_pixel_is_one_cloud(tmp_path, nothing, caplog):
+    points = picture()
+    if nothing is not None:
+        points[points[..., 2] < 0.01] = nothing
+    np.savez(tmp_path / "image.npz", points)
+    found = read(tmp_path / "image.npz")
+    assert len(found) == (120 * 160 if nothing is None else 39 * 29)
+    assert "taken for one organised cloud" in caplog.text
+    assert len(read(tmp_path / "image.npz", 30)) == (160 if nothing is None else 29), "a frame that is named is one"
+
+
+def test_frames_of_particles_are_no_image(tmp_path, caplog):
+    rope = np.stack([np.linspace(0, 0.4, 50), np.zeros(50), np.zeros(50)], 1)
+    pushed = rope + np.linspace(0, 0.08, 40)[:, None, None] * [0.0, 1, 0]
+    lost = pushed.copy()
+    lost[10:13] = np.nan
+    for frames in (pushed, lost, np.random.default_rng(0).normal(0, 0.1, (40, 50, 3))):
+        np.savez(tmp_path / "frames.npz", frames)
+        assert len(read(tmp_path / "frames.npz")) == 50
+    assert not caplog.records
+
+
+def test_a_picture_is_no_cloud(tmp_path):
+    np.savez(tmp_path / "colors.npz", np.zeros((60, 80, 3), np.uint8))
+    refused(tmp_path / "colors.npz", "uint8")

@@ -129,6 +129,10 @@ def test_touched_corners_pixels_and_points_give_the_same_base(recording, tmp_pat
         assert apart(read_robot(recording / "cameras.json"), BASE) == pytest.approx((0, 0), abs=1e-3)
         assert max(told["off_mm"].values()) < 1e-3
         assert told["notes"] == []
+    for robot in (to_robot(world)[:, [1, 0, 2]], to_robot(world) * [1, -1, 1]):
+        rows = [[*p, c] for p, c in zip(robot, corners, strict=True)]
+        wrong = table(tmp_path / "t.csv", "x,y,z,corner", rows)
+        assert "z would point down" in piegraph("calibrate", recording, *SMALL, "--touched", wrong).stdout
     three = table(
         tmp_path / "t.csv", "x,y,z,corner", [[*p, c] for p, c in zip(to_robot(world)[:3], corners, strict=False)]
     )

@@ -1,5 +1,6 @@
 """Whether a measured end-effector is where the cameras see something move: a rod that goes about a table of boxes."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -49,6 +50,21 @@ def test_a_clock_that_is_another_is_said_with_the_seconds(late):
 def test_another_frame_of_reference_is_said(change):
     (text,) = told(change(path(TIMES)))
     assert "in the cameras' world" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda p: p + np.array([0, 0, 0.2]), r"were it (9|12|15|20) cm lower"),
+        (lambda p: p - np.array([0, 0, 0.09]), r"were it (6|9|12|15) cm higher"),
+        (lambda p: p[:, [1, 0, 2]], "with x and y exchanged"),
+        (lambda p: p * [1, -1, 1], "with y turned over"),
+        (lambda p: p[:, [1, 0, 2]] * [1, -1, 1], "turned by 90 degrees"),
+    ],
+)
+def test_the_frame_of_reference_that_would_fit_is_named(change, said):
+    (text,) = told(change(path(TIMES)))
+    assert re.search(said, text), text
 
 
 def test_what_never_moves_or_is_out_of_all_images_is_said():

@@ -17,6 +17,10 @@ LONGEST, LONGEST_DRIFT = 0.12, 0.06
 """Metres that anything moves in a frame, and that a state is off the pattern."""
 NEAR = 0.02
 """Metres between the surface and what is measured of it: beyond, the pixel shows something else."""
+PATCH, SMOOTH, FLAT = 9, 1.0, 1.0
+"""Pixels of the square about a pixel that is compared, the blur before (px), and variance from which it tells."""
+LIKE, SAME, CLOSE = 0.7, 0.7, 0.05
+"""Correlations: from which flow leads to the same place, and from which, and how near to that of flow, a place rests."""
 GREY = 90
 """What is painted where there is nothing to compare."""
 MOST_GAIN = 3.0
@@ -30,6 +34,26 @@ Tells = Callable[[Surface, np.ndarray], np.ndarray]
 """Of a surface and some of its pixels [Q]: which of them go where the sheet goes."""
 
 
+def matched(first: np.ndarray, second: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """How alike [H, W] (-1 to 1) two images [H, W] are about each pixel and where flow [H, W, 2] takes it."""
+    row, column = np.indices(first.shape, np.float32)
+    taken = cv2.remap(_smooth(second), column + there[..., 0], row + there[..., 1], cv2.INTER_LINEAR)
+    return correlated(_smooth(first), taken)
+
+
+def correlated(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The correlation [H, W] of two images [H, W] (float32) about each pixel."""
+    mean, other, both, squares, others = (
+        cv2.boxFilter(a, cv2.CV_32F, (PATCH, PATCH)) for a in (first, second, first * second, first**2, second**2)
+    )
+    spread = (squares - mean**2).clip(min=FLAT) * (others - other**2).clip(min=FLAT)
+    return (both - mean * other) / np.sqrt(spread)
+
+
+def _smooth(image: np.ndarray) -> np.ndarray:
+    return cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTH)
+
+
 class Flow:
     """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
 
@@ -41,11 +65,16 @@ class Flow:
         """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P]."""
         one, two = np.ascontiguousarray(first), np.ascontiguousarray(second)
         there = self.there.calc(one, two, np.zeros((*one.shape, 2), np.float32))
+        moved, still = matched(one, two, there), correlated(*(_smooth(a) for a in (one, two)))
+        stays = (still > SAME) & (still > moved - CLOSE)
         back = self.back.calc(two, one, np.zeros((*one.shape, 2), np.float32))
         step = there.reshape(-1, 2).take(pixels[:, 0] * there.shape[1] + pixels[:, 1], 0)
         at = pixels[:, ::-1].astype(np.float32) + step
         returned = sampled(back, at[:, 0], at[:, 1], cv2.BORDER_REPLICATE)
-        sure = length(step + returned) < RETURNS  # not where flow is not finite
+        flat = pixels[:, 0] * there.shape[1] + pixels[:, 1]
+        sure = (length(step + returned) < RETURNS) & (moved.take(flat) > LIKE)  # not where flow is not finite
+        rests = stays.take(flat)
+        at[rests], sure[rests] = pixels[rests, ::-1], True
         return np.where(sure[:, None], at, np.float32(0))[:, ::-1], sure
 
     def onwards(self, surface: Surface, before: Shot, now: Shot, tells: Tells, sums: Sums) -> None:

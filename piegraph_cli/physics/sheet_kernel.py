@@ -9,7 +9,6 @@ import numpy as np
 import warp as wp
 
 from piegraph_cli.kernels.lanes import start_warp
-from piegraph_cli.physics.sheet_contact import Layers, find_near, keep_apart, layers_of
 from piegraph_cli.physics.sheet_mesh import SheetMesh
 
 GRAVITY = 9.81
@@ -23,8 +22,6 @@ CALM, CALMED = 2, 0.3
 STEP = 0.01
 """Seconds."""
 SWEEPS = 12
-LOOKS = 2
-"""Steps after which it is looked again what is near to what."""
 ROUNDS, PLAIN_ROUNDS, AFTER = 20, 60, 5
 """Of a correction: sweeps with data, of a sheet without a pattern, which is drawn along by its border; and without data."""
 
@@ -85,7 +82,6 @@ def fall(
     free: wp.array(dtype=wp.float32),
     carried: wp.array(dtype=wp.vec3),
     c: Constraints,
-    layers: Layers,
     half: float,
     friction: float,
     steps: int,
@@ -93,8 +89,6 @@ def fall(
 ):
     """Let time pass; what is held, free 0, is carried on by an equal part of the way at every step."""
     for s in range(steps):
-        if s % LOOKS == 0:
-            find_near(x, layers)
         for i in range(x.shape[0]):
             before[i] = x[i]
             if free[i] > 0.0:
@@ -104,7 +98,6 @@ def fall(
                 x[i] = x[i] + carried[i] / float(steps)
         for _sweep in range(SWEEPS):
             solve(x, free, c)
-            keep_apart(x, before, free, layers, friction)
             lie_on_table(x, before, half, friction)
         kept = KEPT
         if s < CALM:
@@ -155,7 +148,7 @@ class Cloth:
     def __init__(self, mesh: SheetMesh):
         start_warp()
         self.mesh = mesh
-        self.constraints, self.layers = Constraints(), layers_of(mesh)
+        self.constraints = Constraints()
         self.constraints.pairs = wp.array(mesh.pairs, dtype=wp.int32, device="cpu")
         for name in ("rest", "pulls", "pushes"):
             setattr(self.constraints, name, wp.array(getattr(mesh, name), dtype=wp.float32, device="cpu"))
@@ -167,7 +160,7 @@ class Cloth:
         steps = max(1, round(seconds / STEP))
         given = [np.array(values, np.float32) for values in (x, x, velocity, free, carried)]
         memory = [memory_of(values, values.ndim > 1) for values in given]
-        wp.launch(fall, 1, [*memory, self.constraints, self.layers, self.mesh.half, FRICTION, steps, STEP], device="cpu")
+        wp.launch(fall, 1, [*memory, self.constraints, self.mesh.half, FRICTION, steps, STEP], device="cpu")
         return given[0], given[2]
 
     def corrected(

@@ -21,7 +21,7 @@ STAGE = Stage(
     ("frames", "masks", "clouds"),
     "tracks",
     TrackParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.track:run",
 )
 

@@ -88,18 +88,24 @@ def picks(landmarks: np.ndarray, end_effector: np.ndarray, clouds: Sequence[np.n
     closed, moving = pinches(openness(landmarks)), moves(clouds)
     runs, count = label(closed)
     holds, last, up = np.zeros_like(closed), -SLIPS - 2, np.inf
+    tall = np.array([_height(tip, cloud) for tip, cloud in zip(end_effector, clouds, strict=True)])
     for n in range(1, count + 1):
-        shut, frames = np.flatnonzero(runs == n).tolist(), _with_motion(runs == n, moving)
-        heights, lifted = _heights(end_effector, clouds, shut), _heights(end_effector, clouds, frames)
+        shut = np.flatnonzero(runs == n).tolist()
+        heights = tall[shut][np.isfinite(tall[shut])]
         near = np.array([_gap(end_effector[f], clouds[f]) <= reach for f in shut])
         if not near[0] or near.mean() <= 0.5 or len(heights) == 0:
             continue
-        rises = heights.max() - heights[0] >= RISES or lifted.max() - lifted[0] >= LIFTS
+        first = _set_off(shut[0], moving)
+        before = tall[first : shut[-1] + 1]
+        before = before[np.isfinite(before)]
+        rises = heights.max() - heights[0] >= RISES or before.max() - before[0] >= LIFTS
+        half = (before[0] + before.max()) / 2
+        half = half if heights[-1] >= half else np.inf
+        frames = range(first, _laid_down(shut[-1], moving, tall, half) + 1)
         if shut[0] - last <= SLIPS + 1 and heights[0] >= up:  # it never opened
             holds[last : frames[-1] + 1], last = True, frames[-1]
-        elif len(shut) > 1 and _came_open(landmarks, frames[0], shut[0]) and rises:
-            holds[frames], last, up = True, frames[-1], (lifted[0] + lifted.max()) / 2
-            up = up if lifted[-1] >= up else np.inf
+        elif len(shut) > 1 and _came_open(landmarks, first, shut[0]) and rises:
+            holds[frames], last, up = True, frames[-1], half
     return holds
 
 
@@ -126,28 +132,26 @@ def _tops(cloud: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return cells, tops
 
 
-def _with_motion(run: np.ndarray, moving: np.ndarray) -> list[int]:
-    """The frames of a run [F] bool and those, before and after, in which the object goes on moving without a rest.
+def _set_off(shut: int, moving: np.ndarray) -> int:
+    """The frame from which on the object was `moving` [F] until a hand was seen to be shut: it was held a frame earlier."""
+    while shut > 0 and moving[shut]:
+        shut -= 1
+    return shut
 
-    What moves before a frame was held one frame earlier.
+
+def _laid_down(shut: int, moving: np.ndarray, tall: np.ndarray, up: float) -> int:
+    """The last frame in which the object is still `moving` [F] after a hand was seen to be shut.
+
+    What lies lower than `up` (m) under the hand, `tall` [F] (m, NaN: unknown), has fallen.
     """
-    first, last = np.flatnonzero(run)[[0, -1]].tolist()
-    while last + 1 < len(run) and moving[last + 1]:
-        last += 1
-    while first > 0 and moving[first]:
-        first -= 1
-    return list(range(first, last + 1))
+    while shut + 1 < len(moving) and moving[shut + 1] and not tall[shut + 1] < up:
+        shut += 1
+    return shut
 
 
 def _came_open(landmarks: np.ndarray, *firsts: int) -> bool:
     """Whether the hand was seen right before one of these frames, when it was still open."""
     return any(first > 0 and bool(np.isfinite(landmarks[first - 1]).any()) for first in firsts)
-
-
-def _heights(end_effector: np.ndarray, clouds: Sequence[np.ndarray], frames: list[int]) -> np.ndarray:
-    """How high (m) the object is under the hand in frames, where that is known."""
-    heights = np.array([_height(end_effector[f], clouds[f]) for f in frames])
-    return heights[np.isfinite(heights)]
 
 
 def _gap(tip: np.ndarray, cloud: np.ndarray) -> float:

@@ -8,6 +8,7 @@ import pytest
 
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.sheet import Hand, SheetFollower
+from piegraph_cli.physics.sheet_flow import Flow, compared
 from piegraph_cli.physics.sheet_images import Lens, Shot, sampled
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import is_sheet, sheet_mesh
@@ -244,6 +245,39 @@ def test_a_pixel_shows_the_nearest_layer():
     left = seen.points[:, 0] < -0.01
     assert over[seen.corners[left]].mean() > 0.9
     assert seen.front[left].mean() < 0.1
+
+
+def layers(moved: int) -> np.ndarray:
+    """A picture [100, 160] of a patterned layer that lies still, and of another that has covered so many more columns."""
+    rng = np.random.default_rng(5)
+    still, upper = (cv2.resize(rng.uniform(60, 180, (25, 40)).astype(np.float32), (160, 100)) for _ in range(2))
+    still[:, : 60 + moved] = np.roll(upper, moved, axis=1)[:, : 60 + moved]
+    return (still + rng.normal(0, 1, still.shape)).clip(0, 255).astype(np.uint8)
+
+
+def test_the_layer_under_one_that_moves_is_not_taken_along():
+    first, second = layers(0), layers(12)
+    row, column = (a.ravel() for a in np.mgrid[20:80, 80:130])
+    at = np.column_stack([row, column])
+    to, sure = Flow().between(first, second, at)
+    off = np.abs(to - at).max(1)
+    assert sure[column > 90].mean() > 0.9
+    assert off[sure].max() < 0.5
+    upper = np.column_stack([row, column - 60])[column < 105]
+    to, sure = Flow().between(first, second, upper)
+    assert sure.mean() > 0.7
+    assert np.abs(to - upper - [0, 12])[sure].max(1).mean() < 0.5
+
+
+def test_images_are_alike_where_flow_leads_to_the_same_pattern():
+    first, second = layers(0)[:, 60:], np.roll(layers(0)[:, 60:], 7, axis=1)
+    there = np.zeros((*first.shape, 2), np.float32)
+    there[..., 0] = 7
+    moved, still = compared(first, second, there)
+    assert np.median(moved[10:-10, 10:-20]) > 0.95
+    assert np.median(np.abs(still[10:-10, 10:-20])) < 0.6
+    bare = np.full_like(first, 90)
+    assert np.abs(compared(bare, bare, there)[0]).max() < 1e-3
 
 
 @pytest.mark.parametrize("count", [0, 1, 40000])

@@ -17,6 +17,10 @@ LONGEST, LONGEST_DRIFT = 0.12, 0.06
 """Metres that anything moves in a frame, and that a state is off the pattern."""
 NEAR = 0.02
 """Metres between the surface and what is measured of it: beyond, the pixel shows something else."""
+PATCH, SMOOTH, FLAT = 9, 1.0, 1.0
+"""Pixels of the square about a pixel that is compared, the blur before (px), and variance from which it tells."""
+LIKE, SAME, CLOSE = 0.7, 0.7, 0.05
+"""Correlations: from which flow leads to the same place, and from which, and how near to that of flow, a place rests."""
 GREY = 90
 """What is painted where there is nothing to compare."""
 MOST_GAIN = 3.0
@@ -30,6 +34,36 @@ Tells = Callable[[Surface, np.ndarray], np.ndarray]
 """Of a surface and some of its pixels [Q]: which of them go where the sheet goes."""
 
 
+class Patches:
+    """An image [H, W] as it is compared with others about each pixel: blurred, with mean and variance of the patch there."""
+
+    def __init__(self, image: np.ndarray):
+        """`image` is blurred already, float32."""
+        self.image, self.mean = image, _mean(image)
+        self.variance = (_mean(image * image) - self.mean**2).clip(min=FLAT)
+
+    def alike(self, other: "Patches") -> np.ndarray:
+        """The correlation [H, W] with another image, -1 to 1; near 0 where either is without a pattern."""
+        both = _mean(self.image * other.image) - self.mean * other.mean
+        return both / np.sqrt(self.variance * other.variance)
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    return cv2.boxFilter(values, cv2.CV_32F, (PATCH, PATCH))
+
+
+def compared(first: np.ndarray, second: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How alike two images [H, W] are about each pixel where flow [H, W, 2] takes it, and where it is: [H, W] each, -1 to 1.
+
+    Flow goes on smoothly over the edge of a layer that moves over another; the pattern there does not go along.
+    """
+    one, two = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTH) for image in (first, second))
+    row, column = np.indices(first.shape, np.float32)
+    taken = cv2.remap(two, column + there[..., 0], row + there[..., 1], cv2.INTER_LINEAR)
+    before = Patches(one)
+    return before.alike(Patches(taken)), before.alike(Patches(two))
+
+
 class Flow:
     """Dense optical flow. Source: Kroeger et al., Fast Optical Flow using Dense Inverse Search (2016); OpenCV's."""
 
@@ -38,14 +72,22 @@ class Flow:
         self.back.setVariationalRefinementIterations(0)  # it only has to end near where the other began
 
     def between(self, first: np.ndarray, second: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P]."""
+        """Where pixels [P, 2] (row, column) of one image are in another, [P, 2] float32, and where that is sure [P].
+
+        A pixel about which the other image is the same where it was has not moved, whatever flow says.
+        """
         one, two = np.ascontiguousarray(first), np.ascontiguousarray(second)
         there = self.there.calc(one, two, np.zeros((*one.shape, 2), np.float32))
+        moved, still = compared(one, two, there)
         back = self.back.calc(two, one, np.zeros((*one.shape, 2), np.float32))
-        step = there.reshape(-1, 2).take(pixels[:, 0] * there.shape[1] + pixels[:, 1], 0)
+        flat = pixels[:, 0] * there.shape[1] + pixels[:, 1]
+        moved, still = moved.take(flat), still.take(flat)
+        step = there.reshape(-1, 2).take(flat, 0)
         at = pixels[:, ::-1].astype(np.float32) + step
         returned = sampled(back, at[:, 0], at[:, 1], cv2.BORDER_REPLICATE)
-        sure = length(step + returned) < RETURNS  # not where flow is not finite
+        sure = (length(step + returned) < RETURNS) & (moved > LIKE)  # not where flow is not finite
+        rests = (still > SAME) & (still > moved - CLOSE)
+        at[rests], sure[rests] = pixels[rests, ::-1], True
         return np.where(sure[:, None], at, np.float32(0))[:, ::-1], sure
 
     def onwards(self, surface: Surface, before: Shot, now: Shot, tells: Tells, sums: Sums) -> None:

@@ -19,7 +19,7 @@ STAGE = Stage(
     ("frames", "hands", "masks"),
     "clouds",
     FuseParams,
-    version=4,
+    version=5,
     run="piegraph_cli.stages.fuse:run",
 )
 

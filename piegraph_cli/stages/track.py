@@ -21,9 +21,12 @@ STAGE = Stage(
     ("frames", "masks", "clouds"),
     "tracks",
     TrackParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.track:run",
 )
+
+UNTOLD = 1
+"""Frames from the last in which the hand was seen, or to the next, that a hand that holds the object still leads it."""
 
 DOUBTFUL = 0.015
 """Metres of expected error above which the user is told where to look."""
@@ -100,8 +103,18 @@ def _handling(source: "Artifact", params: TrackParams) -> "tuple[np.ndarray, dic
         mode = source["mode"] if "mode" in source else np.full(frames, PUSH)
     else:
         mode = np.full(frames, mode_number(params.mode))
-    grasp = source["contact"] & (mode == PICK)
+    grasp = source["contact"] & (mode == PICK) & _told(source["end_effector"])
     return mode, {"hand": _filled(source["end_effector"]), "grasp": grasp} if grasp.any() else {}
+
+
+def _told(hand: "np.ndarray") -> "np.ndarray":
+    """Frames [F] bool in which a hand's path [F, 3] (m) is known, or soon before and soon after: not where a straight line
+    would stand for a whole stroke."""
+    import numpy as np
+
+    known = np.flatnonzero(np.isfinite(hand).all(1))
+    apart = np.abs(np.arange(len(hand))[:, None] - known[None]) if len(known) else np.full((len(hand), 1), len(hand))
+    return apart.min(1) <= UNTOLD
 
 
 def _filled(hand: "np.ndarray") -> "np.ndarray":

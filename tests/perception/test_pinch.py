@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piegraph_cli.perception.pinch import held_points, openness, picks, pinches, with_picks
+from piegraph_cli.perception.pinch import held_points, moves, openness, picks, pinches, with_picks
 
 OPEN, CLOSED = 0.6, 0.15
 SHEET = np.stack([*np.meshgrid(np.linspace(-0.1, 0.1, 21), np.linspace(-0.1, 0.1, 21)), np.zeros((21, 21))], -1)
@@ -129,3 +129,34 @@ def test_the_pinch_goes_with_the_knuckles_where_fingertips_are_hidden():
     np.testing.assert_array_equal(held_points(hand, pushing, np.zeros(9, bool)), pushing)
     hand[:, 4] = np.nan
     np.testing.assert_array_equal(held_points(hand, pushing, holds), pushing)
+
+
+def dome(height: float, at: float) -> np.ndarray:
+    """The sheet with a hill so high, so far along x (m)."""
+    raised = SHEET.copy()
+    raised[:, 2] = height * np.exp(-np.linalg.norm(SHEET[:, :2] - [at, 0], axis=1) / 0.04)
+    return raised
+
+
+def test_what_moves_is_told_from_what_an_arm_hides():
+    whole, half = lifted(0.0), SHEET[SHEET[:, 0] < 0]
+    assert moves([whole, half, whole, lifted(0.05), lifted(0.05)]).tolist() == [False, False, False, True, False]
+    assert not moves([whole, whole[:0], whole]).any()
+
+
+CARRIED = [*[dome(0.0, 0.0)] * 4, *[dome(0.08, 0.03 * k - 0.1) for k in range(1, 7)], *[dome(0.08, 0.08)] * 4]
+"""Frames 4 to 9 move."""
+ALONG = np.array([[0.03 * np.clip(f - 3, 0, 6) - 0.1, 0, 0.06] for f in range(len(CARRIED))])
+
+
+@pytest.mark.parametrize("hidden", [OPEN, np.nan], ids=["looks open", "unseen"])
+def test_a_pick_lasts_as_long_as_what_it_holds_is_on_its_way(hidden):
+    apart = [OPEN] * 4 + [CLOSED] * 3 + [hidden] * 4 + [OPEN] * 3
+    assert np.flatnonzero(picks(hand(apart), ALONG, CARRIED, 0.06)).tolist() == list(range(3, 10))
+
+
+def test_a_hand_that_is_seen_closed_only_when_it_lays_down_has_lifted_before():
+    apart = [OPEN] * 7 + [CLOSED] * 3 + [OPEN] * 4
+    assert np.flatnonzero(picks(hand(apart), ALONG, CARRIED, 0.06)).tolist() == list(range(3, 10))
+    low = [points * [1, 1, 0.25] for points in CARRIED]
+    assert not picks(hand(apart), ALONG, low, 0.06).any()

@@ -8,6 +8,7 @@ import pytest
 
 from piegraph_cli.physics.params import TrackParams
 from piegraph_cli.physics.sheet import Hand, SheetFollower
+from piegraph_cli.physics.sheet_flow import Flow, compared
 from piegraph_cli.physics.sheet_images import Lens, Shot, sampled
 from piegraph_cli.physics.sheet_kernel import Cloth
 from piegraph_cli.physics.sheet_mesh import is_sheet, sheet_mesh
@@ -244,6 +245,49 @@ def test_a_pixel_shows_the_nearest_layer():
     left = seen.points[:, 0] < -0.01
     assert over[seen.corners[left]].mean() > 0.9
     assert seen.front[left].mean() < 0.1
+
+
+def layers(moved: int) -> np.ndarray:
+    """A picture [100, 160] of a patterned layer that lies still, and of another that has covered so many more columns."""
+    rng = np.random.default_rng(5)
+    still, upper = (cv2.resize(rng.uniform(60, 180, (10, 16)).astype(np.float32), (160, 100)) for _ in range(2))
+    still[:, : 60 + moved] = np.roll(upper, moved, axis=1)[:, : 60 + moved]
+    return (still + rng.normal(0, 1, still.shape)).clip(0, 255).astype(np.uint8)
+
+
+class Dragging:
+    """Flow that takes all of the picture along."""
+
+    def __init__(self, columns: float):
+        self.columns = columns
+
+    def calc(self, one: np.ndarray, two: np.ndarray, start: np.ndarray) -> np.ndarray:
+        return start + np.float32([self.columns, 0])
+
+
+def test_the_layer_under_one_that_moves_is_not_taken_along():
+    flow, (row, column) = Flow(), (a.ravel() for a in np.mgrid[20:80, 10:130])
+    flow.there, flow.back = Dragging(12), Dragging(-12)
+    at = np.column_stack([row, column])
+    to, sure = flow.between(layers(0), layers(12), at)
+    way = (to - at)[:, 1]
+    under, over, covered = column >= 77, column < 55, (column >= 65) & (column < 67)
+    assert sure[under].mean() > 0.95
+    assert np.abs(way[under & sure]).max() == 0
+    assert sure[over].mean() > 0.95
+    assert np.abs(way[over & sure] - 12).max() < 1e-3
+    assert sure[covered].mean() < 0.2
+
+
+def test_images_are_alike_where_flow_leads_to_the_same_pattern():
+    first, second = layers(0)[:, 60:], np.roll(layers(0)[:, 60:], 7, axis=1)
+    there = np.zeros((*first.shape, 2), np.float32)
+    there[..., 0] = 7
+    moved, still = compared(first, second, there)
+    assert np.median(moved[10:-10, 10:-20]) > 0.95
+    assert np.median(np.abs(still[10:-10, 10:-20])) < 0.6
+    bare = np.full_like(first, 90)
+    assert np.abs(compared(bare, bare, there)[0]).max() < 1e-3
 
 
 @pytest.mark.parametrize("count", [0, 1, 40000])

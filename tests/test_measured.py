@@ -83,6 +83,20 @@ def test_the_table_of_predictions_says_whether_piegraph_is_first(tables):
     ]  # fmt: skip
 
 
+def test_commands_below_a_table_do_not_say_whose_rows_each_piece_was_made_with(tables):
+    told = [
+        f"piegraph reproduce known{more}"
+        for more in (
+            "",
+            """ --set 'models=["static","gnn"]'""",
+            """ --set seeds=[0] --set 'trials.models=["gnn"]' --set 'models=["gnn"]' --set trials.goals=2""",
+        )
+    ]
+    pieces = [piece.model_copy(update={"command": told[i % 3]}) for i, piece in enumerate(FOUND)]
+    text = tables(PARAMS, pieces).table("dynamics")
+    assert "`piegraph reproduce known`. `piegraph reproduce known --set seeds=[0] --set trials.goals=2`.\n" in text
+
+
 CLAIM = Claim("x", "nearer than PGND and a plain network", "dynamics", ("pgnd", "gnn"))
 
 

@@ -4,6 +4,7 @@ Each is a function of what the pieces say; one of which nothing is measured with
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
@@ -97,15 +98,20 @@ def _markdown(rows: Sequence[Sequence[str]]) -> str:
 
 def _notes(results: Results, empty: bool = True) -> str:
     """Where figures are from and which rows are empty, below a table."""
-    lines = [line for line in origin_lines(results.pieces) if line]
-    text = (
-        "\nMeasured "
-        + ". ".join(f"`{line}`" if line.startswith("piegraph reproduce") else line for line in lines)
-        + ".\n"
-    )
+    lines = [
+        f"`{_of_all_models(line)}`" if line.startswith("piegraph reproduce") else line
+        for line in origin_lines(results.pieces)
+        if line
+    ]
+    text = "\nMeasured " + ". ".join(dict.fromkeys(lines)) + ".\n"
     if empty and (lacking := empty_lines(results)[2:]):
         text += "\nLeft empty: " + "; ".join(lacking) + ".\n"
     return text
+
+
+def _of_all_models(command: str) -> str:
+    """A command without what only chooses whose rows are made; a piece has its own as it was given."""
+    return re.sub(r" --set '(trials\.)?models=[^']*'", "", command)
 
 
 def _gain(one: Finding) -> str:

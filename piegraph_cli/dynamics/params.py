@@ -92,6 +92,9 @@ Labels = Annotated[tuple[Label, ...], BeforeValidator(split_commas), Field(min_l
 class FittedParams(Params):
     """Settings of what any model learns from a dataset."""
 
+    revision: ClassVar[int] = 1
+    """Raised where this model alone learns something else than before of the same settings; `train`'s version is of all."""
+
 
 class LearningParams(FittedParams):
     """How a model is trained by gradient."""
@@ -324,9 +327,13 @@ class ModelParams(Params):
     tensorboard: bool = Field(False, description="write TensorBoard events to RUN/tensorboard")
 
     def content(self) -> dict[str, Any]:
-        """As for all settings, without how often the state is kept and whether events are written: as by default."""
+        """As for all settings, with the model's revision, from the second on.
+
+        How often the state is kept and whether events are written are left at their defaults.
+        """
         unused = {n: type(self).model_fields[n].default for n in ("checkpoint_every", "tensorboard")}
-        return super().content() | unused | {"settings": self.settings.content()}
+        revised = {"revision": self.settings.revision} if self.settings.revision > 1 else {}
+        return super().content() | unused | {"settings": self.settings.content()} | revised
 
 
 class PredictionParams(GuidanceParams):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from piegraph_cli.dynamics.params import LEARNED, split_label, trained_label
 from piegraph_cli.evaluation.tables import sequence_means
 from piegraph_cli.evaluation.trials import Trial
 from piegraph_cli.experiments.params import ExperimentParams
@@ -75,7 +76,7 @@ def _model_piece(
         seed=seed if own else None,
         command=command,
         made=_made([artifact] if artifact else []),
-        versions={s.name: s.version for s in stages if own or s.name != "train"},
+        versions={s.name: s.version for s in stages if own or s.name != "train"} | _revision(label),
         keys=keys,
         settings=in_force(run.recipe, label),
         training=training,
@@ -147,7 +148,7 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
             seed=None,
             command=command,
             made=_made(artifacts),
-            versions={stage.name: stage.version} | (_versions(trained) if of_network else {}),
+            versions={stage.name: stage.version} | (_versions(trained, label) if of_network else {}),
             keys=({"dataset": trained.key(STAGES["dataset"], None)} if of_network else {}) | {"trials": together},
             settings=trials_in_force(params, environment),
             failed=failed or None,
@@ -156,9 +157,17 @@ def trial_pieces(name: str, params: ExperimentParams, environment: str, folder: 
         )
 
 
-def _versions(run: Run) -> dict[str, int]:
-    """Of the stages that a run's networks are from."""
-    return {stage.name: stage.version for stage in run.chain if stage.name not in ("evaluate", "plan")}
+def _versions(run: Run, label: str) -> dict[str, int]:
+    """Of the stages that a run's networks are from, and of the model itself."""
+    of_stages = {stage.name: stage.version for stage in run.chain if stage.name not in ("evaluate", "plan")}
+    return of_stages | _revision(label)
+
+
+def _revision(label: str) -> dict[str, int]:
+    """What a model has learned by, from its second revision on: `{"sms-o": 2}`."""
+    name = split_label(trained_label(label) or "")[0]
+    revision = LEARNED[name].revision if name else 1
+    return {name: revision} if revision > 1 else {}
 
 
 def _trial_row(unit: str, trial: Artifact) -> list[Any]:

@@ -53,6 +53,9 @@ def read_model(model: Artifact) -> Trained:
         settings = validated(LEARNED[name], model.params.get("settings"), name, where, "piegraph train --force")
     except UsageError as error:
         raise DataError(error.message, error.where, error.hint) from None
+    if (revision := model.params.get("revision", 1)) != settings.revision:
+        message = f"{name} of revision {revision}, this piegraph has revision {settings.revision}"
+        raise DataError(message, where, "piegraph train --force")
     network = make_network(name, settings, PICK in model["modes"], seed)
     weights = {
         n.removeprefix("weights/"): torch.as_tensor(v) for n, v in model.arrays.items() if n.startswith("weights/")

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from piegraph_cli.dynamics.params import EGNNParams, PGNDParams
 from piegraph_cli.errors import DataError
 from piegraph_cli.evaluation.trials import Trial
 from piegraph_cli.experiments import collect as of_collect
@@ -17,6 +18,7 @@ from piegraph_cli.experiments.recipes import recipe_of
 from piegraph_cli.experiments.results import put_together
 from piegraph_cli.experiments.run import Work, run_experiment, write_report
 from piegraph_cli.stages import STAGES, open_run
+from piegraph_cli.stages.learning import read_model
 from piegraph_cli.workspace.execute import Options
 
 SMALL = ExperimentParams(
@@ -130,6 +132,26 @@ def test_every_model_and_seed_and_every_models_trials_leave_a_piece(done):
     assert kept["small/tblock/static.json"].keys.keys() == {"trials"}
     assert kept["small/tblock/static.json"].versions == {"trials": STAGES["trials"].version}
     assert "model" not in trials.settings["plan"]
+
+
+def test_a_revised_model_is_trained_again_and_no_other(done, monkeypatch):
+    units = [("train", "piegraph@2.seed3"), ("evaluate", "piegraph-ng@2.seed3"), ("evaluate", "static")]
+
+    def fresh() -> list[bool]:
+        run = open_run(done / "tblock")
+        return [run.fresh(STAGES[stage], unit) for stage, unit in units]
+
+    kept = open_run(done / "tblock").read("model", "piegraph@2.seed3")
+    monkeypatch.setattr(PGNDParams, "revision", 2)
+    assert fresh() == [True, True, True]
+    assert read_model(kept).particles == kept["particles"]
+    monkeypatch.setattr(EGNNParams, "revision", 2)
+    assert fresh() == [False, False, True]
+    assert open_run(done / "tblock").why_stale(STAGES["train"], "piegraph@2.seed3") == "settings changed: revision"
+    with pytest.raises(DataError, match="piegraph of revision 1, this piegraph has revision 2"):
+        read_model(kept)
+    assert of_collect._revision("piegraph-ng@2") == {"piegraph": 2}
+    assert of_collect._revision("static") == of_collect._revision("egnn-g@2") == {}
 
 
 def test_time_that_is_up_leaves_pieces_for_the_next_time(done, tmp_path, monkeypatch, caplog):

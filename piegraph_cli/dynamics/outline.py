@@ -16,8 +16,8 @@ from piegraph_cli.physics.rigid import moved_in_plane
 
 JOINED = 0.95
 """Share of the points that an outline holds."""
-COVERED = (1.3, 1.6, 2.0)
-"""Times as far as joins the particles that a part of the body may be from the nearest of them; strokes tell which."""
+COVERED = 1.3
+"""Times as far as joins the particles that a part of the body may be from the nearest of them."""
 FLAT = 1e-4
 """Metres off a line below which points have no area."""
 FILLED = 400
@@ -50,9 +50,7 @@ def outline_of(points: np.ndarray, alpha: float) -> np.ndarray:
     return _border(points, mesh.simplices[radius <= alpha * _joining(mesh.simplices, radius, len(points))])
 
 
-def _mesh(
-    points: np.ndarray, width: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> tuple[Delaunay, np.ndarray]:
+def _mesh(points: np.ndarray, width: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[Delaunay, np.ndarray]:
     """Triangles between points, and how wide (m) [T] each is. Raises `DataError` for points that have no area."""
     if len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT:
         raise DataError(*NO_AREA)
@@ -76,14 +74,14 @@ def _border(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return points[pairs[times == 1]].reshape(-1, 4)
 
 
-def covered_outline(points: np.ndarray, times: float) -> np.ndarray:
+def covered_outline(points: np.ndarray) -> np.ndarray:
     """Ends [E, 4] (m) of the pieces of the outline of points [N, 2] (m) that lie evenly in a body, some on its edge.
 
-    Of the triangles between points those belong to it that have nothing farther from a corner than `times` what
+    Of the triangles between points those belong to it that have nothing farther from a corner than `COVERED` times what
     joins nearly all points into one, and what these enclose. Raises `DataError` for points that have no area.
     """
     mesh, width = _mesh(points, _cover)
-    open_sides = width > times * _joining(mesh.simplices, width, len(points))
+    open_sides = width > COVERED * _joining(mesh.simplices, width, len(points))
     outside = open_sides & (mesh.neighbors < 0).any(1)
     while True:
         beside = open_sides & ~outside & ((mesh.neighbors >= 0) & outside[mesh.neighbors]).any(1)

@@ -76,7 +76,6 @@ class RigidBody(nn.Module):
         `DataError` for picks, and for an outline of another body.
         """
         from piegraph_cli.dynamics.outline import (
-            COVERED,
             covered_outline,
             edges_of,
             laid_on,
@@ -87,16 +86,15 @@ class RigidBody(nn.Module):
             raise DataError("strokes that hold the object: a rigid body is pushed", hint="train another model")
         self.shape = torch.as_tensor(_centred(data.rest[0]), dtype=torch.float32)
         points = self.shape.numpy()
+        refine = self.params.refine and corners is None
         if corners is not None:
-            outlines = [edges_of(laid_on(corners, points))]
-        elif self.params.refine:
-            outlines = [covered_outline(points, times) for times in COVERED]
+            outline = edges_of(laid_on(corners, points))
         else:
-            outlines = [outline_of(points, self.params.alpha)]
-        self.edges = torch.as_tensor(outlines[0], dtype=torch.float32)
+            outline = covered_outline(points) if refine else outline_of(points, self.params.alpha)
+        self.edges = torch.as_tensor(outline, dtype=torch.float32)
         scene = self.scene(data)
-        if self.params.fit and self.params.refine and corners is None:
-            self._refine(outlines, *scene)
+        if refine and self.params.fit:
+            self._refine(*scene)
         else:
             self._fit_numbers(*scene)
         bent = float(np.median(planar_residuals(*(states.numpy() for states in scene[2:]))))
@@ -135,24 +133,23 @@ class RigidBody(nn.Module):
         self._end_at(found.x)
         self.others = _numbers(_redrawn(*(np.concatenate(part) for part in zip(*tried, strict=True))))
 
-    def _refine(self, outlines: list[np.ndarray], *scene: Tensor) -> None:
-        """Numbers and outline together, from the one of several outlines [E, 4] (m) that the strokes speak for."""
-        from piegraph_cli.dynamics.rigid_contour import NUMBERS, Contour, Fit
+    def _refine(self, *scene: Tensor) -> None:
+        """Numbers and outline together."""
+        from piegraph_cli.dynamics.rigid_contour import NUMBERS, Contour, Fit  # which takes from here
 
         middle, farthest = self._before()
+        contour = Contour(self.edges.double().numpy(), spacing_of(self.shape.numpy()))
 
         def numbers(x: np.ndarray) -> Tensor:
             return _numbers(middle + x * _SPREAD)
 
-        spacing, bound = spacing_of(self.shape.numpy()), farthest / _SPREAD
-        fits = [Fit(Contour(one, spacing), scene, self.gyration(), numbers, bound) for one in outlines]
-        found = [(fit, *fit.find()) for fit in fits]
-        fit, best, curve, _ = min(found, key=lambda one: one[-1])
+        fit = Fit(contour, scene, self.gyration(), numbers, farthest / _SPREAD)
+        best, curve = fit.find()
         others = fit.drawn(best, curve, OTHERS)
         self._end_at(middle + best[:NUMBERS] * _SPREAD)
         self.others = numbers(others[:, :NUMBERS])
-        offsets = np.vstack([best, others])[:, NUMBERS:]
-        self.edges, *rest = torch.as_tensor(fit.contour.edges(offsets), dtype=torch.float32)
+        outlines = contour.edges(np.vstack([best, others])[:, NUMBERS:])
+        self.edges, *rest = torch.as_tensor(outlines, dtype=torch.float32)
         self.other_edges = torch.stack(rest)
 
     def gyration(self) -> float:

@@ -1,5 +1,6 @@
 """The outline of a rigid body that its strokes refine: smooth offsets from that of the particles, fitted with its numbers."""
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from piegraph_cli.dynamics.rigid_kernel import push
 
 PIECE = 0.5
 """Spacings of particles that a piece of the outline is long, at most."""
-OFFSET, ALIKE, MODES = 0.2, 1.0, 48
+OFFSET, ALIKE, MODES = 0.2, 0.5, 80
 """Deviation of the outline from where the particles have it, and how far along it that is alike, in spacings; its modes."""
 NUMBERS = 5
 TOUCHED = 0.003
@@ -24,8 +25,10 @@ SURE = 1.5e-3
 """Metres that the touch is off, at least."""
 STRIDE = 1e-3
 """Metres of the pusher in a step while fitting."""
-STARTS, ROUNDS, STEP, ENOUGH = 64, 12, 0.1, 0.02
-"""Numbers that are tried before the first round, most rounds, step of differences, and gain of the last round."""
+STARTS = ((0, -3, -1.5, -0.5, 0.5, 1.5, 3), (0, -2, -1, 1, 2), (0, -0.5, 1))
+"""Friction, turning length and reach that are tried before the first round, in deviations."""
+ROUNDS, STEP, ENOUGH = 12, 0.1, 0.02
+"""Most rounds, step of differences, and gain of the last round."""
 DAMPING = (0.03, 0.3, 3.0, 30.0)
 """What is tried in a round, times the damping of the round before."""
 FARTHEST = 1.5
@@ -102,7 +105,9 @@ class Fit:
     little, on a Gaussian prior of the outline and a heavy-tailed one of the numbers.
     """
 
-    def __init__(self, contour: Contour, scene: tuple[Tensor, ...], radius: float, numbers: Callable, bound: np.ndarray):
+    def __init__(
+        self, contour: Contour, scene: tuple[Tensor, ...], radius: float, numbers: Callable, bound: np.ndarray
+    ):
         """`scene`: as of `RigidBody.scene`; `radius` (m): of gyration; `numbers`: of deviations [K, 5], bounded by `bound`."""
         poses, ends, before, after = scene
         self.contour, self.poses, self.ends, self.numbers, self.bound = contour, poses, ends, numbers, bound
@@ -139,11 +144,11 @@ class Fit:
         """Metres that the touch is usually off."""
         return max(SURE, float(np.median(np.abs(left.touch[0, self.moved])))) if self.moved.any() else SURE
 
-    def find(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """The candidate [5 + MODES] that costs least, the curvature [5 + MODES, 5 + MODES] of the cost there, the cost."""
+    def find(self) -> tuple[np.ndarray, np.ndarray]:
+        """The candidate [5 + MODES] that costs least, and the curvature [5 + MODES, 5 + MODES] of the cost there."""
         size = NUMBERS + len(self.contour.modes)
-        tries = np.zeros((STARTS, size))
-        tries[1:, :NUMBERS] = self._bounded(np.random.default_rng(0).standard_normal((STARTS - 1, NUMBERS)))
+        tries = np.zeros((math.prod(map(len, STARTS)), size))
+        tries[:, : len(STARTS)] = list(itertools.product(*STARTS))
         all_left = self.left(tries)
         best = int(self.cost(tries, all_left, self.sure(all_left.one(0))).argmin())
         x, left, damping = tries[best], all_left.one(best), 1.0
@@ -163,7 +168,7 @@ class Fit:
             x, left, damping = tries[best], all_left.one(best), max(damping * DAMPING[best], 1e-3)
             if costs[best] > now - ENOUGH:
                 break
-        return x, curve, float(self.cost(x[None], left, SURE)[0])
+        return x, curve
 
     def _bounded(self, x: np.ndarray) -> np.ndarray:
         head = np.clip(x[:, :NUMBERS], -self.bound, self.bound)

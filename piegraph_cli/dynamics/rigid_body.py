@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.params import RigidParams
+from piegraph_cli.dynamics.rigid_contour import NUMBERS, Contour, Fit
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
@@ -135,8 +136,6 @@ class RigidBody(nn.Module):
 
     def _refine(self, *scene: Tensor) -> None:
         """Numbers and outline together."""
-        from piegraph_cli.dynamics.rigid_contour import NUMBERS, Contour, Fit  # which takes from here
-
         middle, farthest = self._before()
         contour = Contour(self.edges.double().numpy(), spacing_of(self.shape.numpy()))
 
@@ -291,29 +290,6 @@ def pose_now(rest: np.ndarray, now: np.ndarray, frame: np.ndarray) -> np.ndarray
     """The pose [3] of a body at `frame` [3] (m, rad) when its particles were `rest` [N, 2 or 3], now that they are `now`."""
     motion = planar_fit(rest[:, :2], now[:, :2])
     return np.array([*moved_in_plane(frame[:2], motion), frame[2] + motion[2]])
-
-
-def seen_from(poses: Tensor, points: Tensor) -> Tensor:
-    """Points [B, 2] (m) in the frames of bodies at poses [B, 3]."""
-    cosine, sine = poses[:, 2].cos(), poses[:, 2].sin()
-    x, y = (points - poses[:, :2]).unbind(1)
-    return torch.stack([cosine * x + sine * y, cosine * y - sine * x], 1)
-
-
-def in_frame(poses: Tensor, others: Tensor) -> Tensor:
-    """Other poses [B, 3] (m, rad) as seen from poses [B, 3]; turns from -pi to pi."""
-    turn = torch.remainder(others[:, 2:] - poses[:, 2:] + math.pi, 2 * math.pi) - math.pi
-    return torch.cat([seen_from(poses, others[:, :2]), turn], 1)
-
-
-def pose_after(poses: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """Poses [B, 3] of bodies whose particles went from before to after [B, N, 2]."""
-    a, b = before - before.mean(1, keepdim=True), after - after.mean(1, keepdim=True)
-    yaw = torch.atan2((a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(1), (a * b).sum((1, 2)))
-    cosine, sine = yaw.cos(), yaw.sin()
-    x, y = (poses[:, :2] - before.mean(1)).unbind(1)
-    place = torch.stack([cosine * x - sine * y, sine * x + cosine * y], 1)
-    return torch.cat([after.mean(1) + place, (poses[:, 2] + yaw)[:, None]], 1)
 
 
 def _centred(rest: np.ndarray) -> np.ndarray:

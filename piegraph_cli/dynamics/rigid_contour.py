@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from piegraph_cli.dynamics.rigid_body import in_frame, pose_after, seen_from
+from piegraph_cli.dynamics.poses import in_frame, pose_after, seen_from
 from piegraph_cli.dynamics.rigid_kernel import push
 
 PIECE = 0.5

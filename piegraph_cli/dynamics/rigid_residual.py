@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.rigid_body import RigidBody, carry, in_frame, pose_after, seen_from
+from piegraph_cli.dynamics.poses import in_frame, pose_after, seen_from
+from piegraph_cli.dynamics.rigid_body import RigidBody, carry
 
 MOST = 200
 """Strokes that are remembered: as many of all, evenly spread."""

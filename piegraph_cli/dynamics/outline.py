@@ -2,6 +2,7 @@
 
 import bisect
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from piegraph_cli.physics.rigid import moved_in_plane
 
 JOINED = 0.95
 """Share of the points that an outline holds."""
+COVERED = 1.3
+"""Times as far as joins the particles that a part of the body may be from the nearest of them."""
 FLAT = 1e-4
 """Metres off a line below which points have no area."""
 FILLED = 400
@@ -31,6 +34,7 @@ ROUGH = 0.004
 """Metres that tracked particles are expected to be off."""
 WRONG = 0.1
 """Share of the outline or of the particles that is too far where the outline is another body's."""
+NO_AREA = ("the particles span no area: no outline", "", "a rigid body lies flat; train another model")
 OUTLINE = "outline"
 """Where an error is that is about an outline that is given."""
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 39.37}
@@ -42,17 +46,57 @@ def outline_of(points: np.ndarray, alpha: float) -> np.ndarray:
     Triangles between points belong to it whose circumradius is at most `alpha` times the least with which they join nearly
     all points into one. Raises `DataError` for points that have no area.
     """
-    flat = len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT
-    triangles = np.zeros((0, 3), np.int64) if flat else Delaunay(points).simplices
-    radius = _circumradius(points, triangles)
-    ordered = np.sort(radius)
-    enough = bisect.bisect_left(ordered, True, key=lambda limit: _joined(triangles[radius <= limit], len(points)))
+    mesh, radius = _mesh(points, _circumradius)
+    return _border(points, mesh.simplices[radius <= alpha * _joining(mesh.simplices, radius, len(points))])
+
+
+def _mesh(points: np.ndarray, width: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[Delaunay, np.ndarray]:
+    """Triangles between points, and how wide (m) [T] each is. Raises `DataError` for points that have no area."""
+    if len(points) < 3 or np.linalg.svd(points - points.mean(0), compute_uv=False)[-1] < FLAT:
+        raise DataError(*NO_AREA)
+    mesh = Delaunay(points)
+    return mesh, width(points, mesh.simplices)
+
+
+def _joining(triangles: np.ndarray, width: np.ndarray, count: int) -> float:
+    """The least width (m) up to which triangles join nearly all of so many points into one."""
+    ordered = np.sort(width)
+    enough = bisect.bisect_left(ordered, True, key=lambda limit: _joined(triangles[width <= limit], count))
     if enough == len(ordered):
-        raise DataError("the particles span no area: no outline", hint="a rigid body lies flat; train another model")
-    kept = triangles[radius <= alpha * ordered[enough]]
-    edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
+        raise DataError(*NO_AREA)
+    return float(ordered[enough])
+
+
+def _border(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Ends [E, 4] (m) of the sides that one of the triangles [T, 3] has alone."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     pairs, times = np.unique(edges, axis=0, return_counts=True)
     return points[pairs[times == 1]].reshape(-1, 4)
+
+
+def covered_outline(points: np.ndarray) -> np.ndarray:
+    """Ends [E, 4] (m) of the pieces of the outline of points [N, 2] (m) that lie evenly in a body, some on its edge.
+
+    Of the triangles between points those belong to it that have nothing farther from a corner than `COVERED` times what
+    joins nearly all points into one, and what these enclose. Raises `DataError` for points that have no area.
+    """
+    mesh, width = _mesh(points, _cover)
+    open_sides = width > COVERED * _joining(mesh.simplices, width, len(points))
+    outside = open_sides & (mesh.neighbors < 0).any(1)
+    while True:
+        beside = open_sides & ~outside & ((mesh.neighbors >= 0) & outside[mesh.neighbors]).any(1)
+        if not beside.any():
+            return _border(points, mesh.simplices[~outside])
+        outside |= beside
+
+
+def _cover(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """How far (m) what lies in triangles [T, 3] between points [N, 2] is from their nearest corners, at most."""
+    corners = points[triangles]
+    a, b, c = np.sort(np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2), axis=1).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        blunt = np.maximum(a * a / (a * a + c * c - b * b), b * b / (b * b + c * c - a * a)) * c
+    return np.where(c * c > a * a + b * b, blunt, _circumradius(points, triangles))
 
 
 def _circumradius(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ def fitted_body(data: Sequences) -> RigidBody:
 
     Raises `DataError` where they leave most of the motion.
     """
-    body = RigidBody(RigidParams(fit=len(data.strokes) > 0, friction=FRICTION[0], reach=REACH[0]))
+    body = RigidBody(RigidParams(fit=len(data.strokes) > 0, refine=False, friction=FRICTION[0], reach=REACH[0]))
     if not len(data.strokes):  # one that nothing comes of
         at_rest, one = data.rest[:1].repeat(2, 0), np.array([[0, 1]])
         hand, zero = np.array([[1.0, 0.0], [1.1, 0.0]], np.float32), np.zeros(1, np.int64)

@@ -215,8 +215,16 @@ class GBNDParams(StepParams):
 class RigidParams(FittedParams):
     """What is thought of a rigid body before its strokes are seen."""
 
+    revision: ClassVar[int] = 2
+
+    refine: bool = Field(
+        True,
+        description="let the strokes refine the outline that the particles have; else it stays an alpha shape of them",
+    )
     alpha: float = Field(
-        1.8, ge=1, description="coarsest triangles of the outline, times those that join the particles"
+        1.8,
+        ge=1,
+        description="without `refine`: coarsest triangles of the outline, times those that join the particles",
     )
     friction: float = Field(0.25, gt=0, description="friction with the pusher, before strokes are seen")
     reach: float = Field(

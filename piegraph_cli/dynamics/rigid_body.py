@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from piegraph_cli.dynamics.examples import Sequences
 from piegraph_cli.dynamics.params import RigidParams
+from piegraph_cli.dynamics.rigid_contour import NUMBERS, Contour, Fit
 from piegraph_cli.dynamics.rigid_kernel import push
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError
@@ -48,8 +49,9 @@ class RigidBody(nn.Module):
         "shape": (0, 2),
         "numbers": (5,),
         "others": (0, 5),
+        "other_edges": (0, 0, 4),
     }
-    """Arrays that are learned, and their shapes; 0 for as many as there are. Earlier models have no `others`."""
+    """Arrays that are learned, and their shapes; 0 for as many as there are. Earlier models have no others."""
 
     def __init__(self, params: RigidParams):
         super().__init__()
@@ -60,7 +62,8 @@ class RigidBody(nn.Module):
             self.register_buffer(name, torch.zeros(shape))
 
     def _load_from_state_dict(self, state_dict: dict, prefix: str, *rest: Any) -> None:
-        state_dict.setdefault(f"{prefix}others", self.others)
+        for name in ("others", "other_edges"):
+            state_dict.setdefault(prefix + name, getattr(self, name))
         for name, shape in self.learned.items():
             if 0 in shape and prefix + name in state_dict:
                 setattr(self, name, torch.empty_like(state_dict[prefix + name]))
@@ -74,6 +77,7 @@ class RigidBody(nn.Module):
         `DataError` for picks, and for an outline of another body.
         """
         from piegraph_cli.dynamics.outline import (
+            covered_outline,
             edges_of,
             laid_on,
             outline_of,
@@ -83,10 +87,17 @@ class RigidBody(nn.Module):
             raise DataError("strokes that hold the object: a rigid body is pushed", hint="train another model")
         self.shape = torch.as_tensor(_centred(data.rest[0]), dtype=torch.float32)
         points = self.shape.numpy()
-        outline = outline_of(points, self.params.alpha) if corners is None else edges_of(laid_on(corners, points))
+        refine = self.params.refine and corners is None
+        if corners is not None:
+            outline = edges_of(laid_on(corners, points))
+        else:
+            outline = covered_outline(points) if refine else outline_of(points, self.params.alpha)
         self.edges = torch.as_tensor(outline, dtype=torch.float32)
         scene = self.scene(data)
-        self._fit_numbers(*scene)
+        if refine and self.params.fit:
+            self._refine(*scene)
+        else:
+            self._fit_numbers(*scene)
         bent = float(np.median(planar_residuals(*(states.numpy() for states in scene[2:]))))
         return float(self._errors(self.numbers[None], *scene).mean()), bent
 
@@ -105,8 +116,7 @@ class RigidBody(nn.Module):
     def _fit_numbers(self, *scene: Tensor) -> None:
         from scipy.optimize import differential_evolution  # planning does without
 
-        gyration = float(self.shape.square().sum(1).mean().sqrt())
-        middle = np.array([math.log(self.params.friction), math.log(0.8 * gyration), self.params.reach, 0.0, 0.0])
+        middle, farthest = self._before()
         self.numbers = _numbers(middle[None])[0]
         if not self.params.fit:
             return
@@ -119,13 +129,44 @@ class RigidBody(nn.Module):
             tried.append((x.T.copy(), errors, unlikely))
             return len(scene[0]) * np.log(errors.mean(1)) + unlikely
 
-        farthest = np.array([1.5, 0.9, 0.03, 0.6 * gyration, 0.6 * gyration])
         bounds = list(zip(middle - farthest, middle + farthest, strict=True))
         found = differential_evolution(cost, bounds, vectorized=True, updating="deferred", **_OPTIMISER)
-        self.numbers = _numbers(found.x[None])[0]
-        shares = np.abs(found.x - middle) / farthest
-        shares[2] = max(shares[2], found.x[2] <= REACH)
+        self._end_at(found.x)
         self.others = _numbers(_redrawn(*(np.concatenate(part) for part in zip(*tried, strict=True))))
+
+    def _refine(self, *scene: Tensor) -> None:
+        """Numbers and outline together."""
+        middle, farthest = self._before()
+        contour = Contour(self.edges.double().numpy(), spacing_of(self.shape.numpy()))
+
+        def numbers(x: np.ndarray) -> Tensor:
+            return _numbers(middle + x * _SPREAD)
+
+        fit = Fit(contour, scene, self.gyration(), numbers, farthest / _SPREAD)
+        best, curve = fit.find()
+        others = fit.drawn(best, curve, OTHERS)
+        self._end_at(middle + best[:NUMBERS] * _SPREAD)
+        self.others = numbers(others[:, :NUMBERS])
+        outlines = contour.edges(np.vstack([best, others])[:, NUMBERS:])
+        self.edges, *rest = torch.as_tensor(outlines, dtype=torch.float32)
+        self.other_edges = torch.stack(rest)
+
+    def gyration(self) -> float:
+        """Radius of gyration (m) of the particles: what turns are measured by."""
+        return float(self.shape.square().sum(1).mean().sqrt())
+
+    def _before(self) -> tuple[np.ndarray, np.ndarray]:
+        """What is fitted [5] before strokes are seen, and how far from there it may end."""
+        gyration = self.gyration()
+        middle = np.array([math.log(self.params.friction), math.log(0.8 * gyration), self.params.reach, 0.0, 0.0])
+        return middle, np.array([1.5, 0.9, 0.03, 0.6 * gyration, 0.6 * gyration])
+
+    def _end_at(self, x: np.ndarray) -> None:
+        """The numbers, of what is fitted [5], and where in its range each of them is."""
+        middle, farthest = self._before()
+        shares = np.abs(x - middle) / farthest
+        shares[2] = max(shares[2], x[2] <= REACH)
+        self.numbers = _numbers(x[None])[0]
         self.ended = list(zip(_NAMES, shares.tolist(), strict=True))
 
     def _errors(self, numbers: Tensor, poses: Tensor, strokes: Tensor, before: Tensor, after: Tensor) -> Tensor:
@@ -150,8 +191,9 @@ class RigidBody(nn.Module):
         sets, count = len(self.others), len(positions)
         poses = _poses(rest[:, :2], positions[..., :2], frame)
         ends, numbers = strokes.ends.flatten(1).to(poses), self.others.repeat_interleave(count, 0)
-        moved = push(self.edges, poses.repeat(sets, 1), ends.repeat(sets, 1), numbers).reshape(sets, count, 3)
-        middle, turns = moved[..., :2], moved[..., 2] * self.shape.square().sum(1).mean().sqrt()
+        edges = self.other_edges if len(self.other_edges) else self.edges
+        moved = push(edges, poses.repeat(sets, 1), ends.repeat(sets, 1), numbers).reshape(sets, count, 3)
+        middle, turns = moved[..., :2], moved[..., 2] * self.gyration()
         return (middle.var(0).sum(-1) + turns.var(0)).sqrt()
 
     def moved(self, poses: Tensor, ends: Tensor) -> Tensor:
@@ -197,13 +239,18 @@ def is_rigid(data: Sequences) -> bool:
     return bool(np.quantile(planar_residuals(before[moved], after[moved]), 0.9) < STIFF)
 
 
+def spacing_of(points: np.ndarray) -> float:
+    """How far (m) points [N, 2] are from the nearest other, the median."""
+    return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+
+
 def body_frame(rest: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """The pose (x, y, yaw) of a body whose particles are `rest` [N, 2 or 3], given them in its own frame, [M, 2].
 
     The particles need not be the same ones: then the shapes are laid on each other from several yaws, and the best is taken.
     """
     points = rest[:, :2]
-    spacing = float(np.median(cKDTree(shape).query(shape, k=2)[0][:, 1]))
+    spacing = spacing_of(shape)
     if len(points) == len(shape):
         pose = planar_fit(shape, points)
         if np.linalg.norm(moved_in_plane(shape, pose) - points, axis=1).mean() < MATCHED * spacing:
@@ -243,13 +290,6 @@ def pose_now(rest: np.ndarray, now: np.ndarray, frame: np.ndarray) -> np.ndarray
     """The pose [3] of a body at `frame` [3] (m, rad) when its particles were `rest` [N, 2 or 3], now that they are `now`."""
     motion = planar_fit(rest[:, :2], now[:, :2])
     return np.array([*moved_in_plane(frame[:2], motion), frame[2] + motion[2]])
-
-
-def seen_from(poses: Tensor, points: Tensor) -> Tensor:
-    """Points [B, 2] (m) in the frames of bodies at poses [B, 3]."""
-    cosine, sine = poses[:, 2].cos(), poses[:, 2].sin()
-    x, y = (points - poses[:, :2]).unbind(1)
-    return torch.stack([cosine * x + sine * y, cosine * y - sine * x], 1)
 
 
 def _centred(rest: np.ndarray) -> np.ndarray:

@@ -20,27 +20,20 @@ STRIDE = 5e-4
 @functools.cache
 def _kernel() -> Any:
     @wp.func
-    def inside(edges: wp.array2d(dtype=wp.float32), p: wp.vec2) -> bool:
-        odd = bool(False)  # noqa: UP018 - Warp takes a literal for a constant
-        for k in range(edges.shape[0]):
-            y1, y2 = edges[k, 1], edges[k, 3]
-            crosses = (y1 > p[1]) != (y2 > p[1])
-            if crosses and p[0] < edges[k, 0] + (p[1] - y1) / (y2 - y1) * (edges[k, 2] - edges[k, 0]):
-                odd = not odd
-        return odd
-
-    @wp.func
-    def nearest(edges: wp.array2d(dtype=wp.float32), p: wp.vec2) -> wp.vec2:
-        best, least = wp.vec2(0.0, 0.0), float(1e12)  # noqa: UP018
-        for k in range(edges.shape[0]):
-            a = wp.vec2(edges[k, 0], edges[k, 1])
-            b = wp.vec2(edges[k, 2], edges[k, 3]) - a
+    def nearest(edges: wp.array3d(dtype=wp.float32), of: int, p: wp.vec2) -> wp.vec3:
+        """The nearest point of an outline, and 1 where p is outside, -1 inside."""
+        best, least, side = wp.vec2(0.0, 0.0), float(1e12), float(1.0)  # noqa: UP018 - Warp takes a literal for a constant
+        for k in range(edges.shape[1]):
+            a = wp.vec2(edges[of, k, 0], edges[of, k, 1])
+            b = wp.vec2(edges[of, k, 2], edges[of, k, 3]) - a
             share = wp.clamp(wp.dot(p - a, b) / wp.max(wp.dot(b, b), 1e-12), 0.0, 1.0)
             q = a + share * b
             apart = wp.dot(p - q, p - q)
             if apart < least:
                 best, least = q, apart
-        return best
+            if ((a[1] > p[1]) != (a[1] + b[1] > p[1])) and p[0] < a[0] + (p[1] - a[1]) / b[1] * b[0]:
+                side = -side
+        return wp.vec3(best[0], best[1], side)
 
     @wp.func
     def twist(r: wp.vec2, n: wp.vec2, depth: float, slip: float, friction: float, c: float) -> wp.vec3:
@@ -61,7 +54,8 @@ def _kernel() -> Any:
     def push(
         first: int,
         slot: int,
-        edges: wp.array2d(dtype=wp.float32),
+        each: int,
+        edges: wp.array3d(dtype=wp.float32),
         poses: wp.array2d(dtype=wp.float32),
         strokes: wp.array2d(dtype=wp.float32),
         numbers: wp.array2d(dtype=wp.float32),
@@ -69,6 +63,7 @@ def _kernel() -> Any:
         moved: wp.array2d(dtype=wp.float32),
     ):
         b = first + wp.tid()
+        of = b // each
         friction, c, given = numbers[b, 0], numbers[b, 1], numbers[b, 2]
         centre = wp.vec2(numbers[b, 3], numbers[b, 4])
         yaw = poses[b, 2]
@@ -80,14 +75,15 @@ def _kernel() -> Any:
         step = along / float(steps)
         p = wp.transpose(turn) * (start - place) + centre
         reach = given
-        if not inside(edges, p):  # a pusher that is measured too near touches at the beginning, and moves nothing by it
-            reach = wp.min(given, wp.max(wp.length(p - nearest(edges, p)), 0.001))
+        met = nearest(edges, of, p)
+        if met[2] > 0.0:  # a pusher that is measured too near touches at the beginning, and moves nothing by it
+            reach = wp.min(given, wp.max(wp.length(p - wp.vec2(met[0], met[1])), 0.001))
         for k in range(steps):
             turn = wp.mat22(wp.cos(yaw), -wp.sin(yaw), wp.sin(yaw), wp.cos(yaw))
             p = wp.transpose(turn) * (start + float(k + 1) * step - place) + centre
-            q = nearest(edges, p)
+            met = nearest(edges, of, p)
+            q, side = wp.vec2(met[0], met[1]), met[2]
             apart = wp.length(q - p)
-            side = wp.where(inside(edges, p), -1.0, 1.0)
             depth = reach - side * apart
             if depth > 0.0 and apart > 1e-7:
                 n = side * (q - p) / apart
@@ -107,14 +103,16 @@ def _kernel() -> Any:
 def push(edges: Tensor, poses: Tensor, strokes: Tensor, numbers: Tensor, stride: float = STRIDE) -> Tensor:
     """Poses [B, 3] (x, y (m), yaw (rad)) of a body after one straight stroke each, from poses [B, 3].
 
-    edges [E, 4]: ends of the outline's pieces in the body's frame (m); strokes [B, 4]: start and end of the pusher (m);
+    edges [E, 4]: ends of the outline's pieces in the body's frame (m), or [K, E, 4] for K outlines, each for B / K
+    candidates in a row; strokes [B, 4]: start and end of the pusher (m);
     numbers [B, 5]: friction with the pusher, length c that converts turning into sliding (m), distance that the pusher's
     centre keeps from the outline (m), centre of friction in the body's frame (m).
     """
     moved = torch.empty_like(poses)
     launch = Launch(len(poses), poses.device, cpu_lanes=1)
+    edges = edges if edges.ndim == 3 else edges[None]
     arrays = [wp.from_torch(a.contiguous()) for a in (edges, poses, strokes, numbers)]
-    arguments = [*arrays, stride, wp.from_torch(moved)]
+    arguments = [max(len(poses) // len(edges), 1), *arrays, stride, wp.from_torch(moved)]
     if poses.is_cuda:
         stream = wp.stream_from_torch(torch.cuda.current_stream(poses.device))
         wp.launch(_kernel(), len(poses), [0, 0, *arguments], device=str(poses.device), stream=stream)

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.rigid_body import RigidBody, carry, seen_from
+from piegraph_cli.dynamics.poses import in_frame, pose_after, seen_from
+from piegraph_cli.dynamics.rigid_body import RigidBody, carry
 
 MOST = 200
 """Strokes that are remembered: as many of all, evenly spread."""
@@ -51,9 +52,9 @@ class RigidResidual(RigidBody):
         chosen = torch.linspace(0, len(poses) - 1, min(len(poses), MOST)).long()
         poses, ends, before, after = poses[chosen], ends[chosen], before[chosen], after[chosen]
         moved = super().moved(poses, ends)
-        radius = self._radius()
+        radius = self.gyration()
         features, gate = self._features(poses, ends, moved)
-        left = in_frame(poses, _pose_after(poses, before, after)) - in_frame(poses, moved)
+        left = in_frame(poses, pose_after(poses, before, after)) - in_frame(poses, moved)
         left = left.double() * torch.tensor([1.0, 1.0, radius], dtype=torch.float64)
         if len(poses) < FEWEST:
             return error, bent
@@ -67,7 +68,7 @@ class RigidResidual(RigidBody):
         self.known, self.weights = features, (weights * gate[:, None]).float()
         self.inverse = (inverse * gate[:, None] * gate).float()
         self.lengths, self.left = torch.tensor(np.exp(numbers[:3])).float(), torch.tensor(math.exp(numbers[3])).float()
-        told = self._put(poses, in_frame(poses, _pose_after(poses, before, after)), -without.float())
+        told = self._put(poses, in_frame(poses, pose_after(poses, before, after)), -without.float())
         return float((carry(before, poses, told) - after).norm(dim=-1).mean()), bent
 
     def moved(self, poses: Tensor, ends: Tensor) -> Tensor:
@@ -81,39 +82,19 @@ class RigidResidual(RigidBody):
 
     def _put(self, poses: Tensor, motion: Tensor, left: Tensor) -> Tensor:
         """Poses [B, 3] after motions [B, 3] in the body's frame and what is added to them (m)."""
-        motion = motion + left / left.new_tensor([1.0, 1.0, self._radius()])
+        motion = motion + left / left.new_tensor([1.0, 1.0, self.gyration()])
         cosine, sine = poses[:, 2].cos(), poses[:, 2].sin()
         x, y, yaw = motion.unbind(1)
         return poses + torch.stack([cosine * x - sine * y, sine * x + cosine * y, yaw], 1)
 
-    def _radius(self) -> float:
-        """Of gyration (m) of the particles: what turns are measured by."""
-        return float(self.shape.square().sum(1).mean().sqrt())
-
     def _features(self, poses: Tensor, ends: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
         """What tells strokes apart [B, 7], see `_GROUPS`, and how far [B] what is left is to be expected, 0 to 1."""
         start, end = (seen_from(poses, points) for points in (ends[:, :2], ends[:, 2:]))
-        along, radius = end - start, self._radius()
+        along, radius = end - start, self.gyration()
         motion = in_frame(poses, moved) * moved.new_tensor([1.0, 1.0, radius])
         length = along.norm(dim=1, keepdim=True).clamp_min(1e-9)
         features = torch.cat([start / radius, along / length, motion / radius], 1)
         return features, (motion.norm(dim=1) / GATE).tanh()
-
-
-def in_frame(poses: Tensor, others: Tensor) -> Tensor:
-    """Other poses [B, 3] (m, rad) as seen from poses [B, 3]; turns from -pi to pi."""
-    turn = torch.remainder(others[:, 2:] - poses[:, 2:] + math.pi, 2 * math.pi) - math.pi
-    return torch.cat([seen_from(poses, others[:, :2]), turn], 1)
-
-
-def _pose_after(poses: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """Poses [B, 3] of bodies whose particles went from before to after [B, N, 2]."""
-    a, b = before - before.mean(1, keepdim=True), after - after.mean(1, keepdim=True)
-    yaw = torch.atan2((a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(1), (a * b).sum((1, 2)))
-    cosine, sine = yaw.cos(), yaw.sin()
-    x, y = (poses[:, :2] - before.mean(1)).unbind(1)
-    place = torch.stack([cosine * x - sine * y, sine * x + cosine * y], 1)
-    return torch.cat([after.mean(1) + place, (poses[:, 2] + yaw)[:, None]], 1)
 
 
 def _alike(features: Tensor, others: Tensor, lengths: Tensor) -> Tensor:

@@ -7,7 +7,8 @@ import numpy as np
 import torch
 
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.rigid_body import body_frame, pose_now, seen_from
+from piegraph_cli.dynamics.poses import seen_from
+from piegraph_cli.dynamics.rigid_body import body_frame, pose_now
 from piegraph_cli.dynamics.stroke import Strokes
 
 ONE_SIDE = math.pi

@@ -20,7 +20,7 @@ from piegraph_cli.stages.trials import split_name
 from piegraph_cli.workspace.artifact import Artifact, read_artifact
 from piegraph_cli.workspace.run import Run
 
-NO_WEIGHTS = ("weights/edges", "weights/shape", "weights/others")
+NO_WEIGHTS = ("weights/edges", "weights/shape", "weights/others", "weights/other_edges")
 """Of a rigid body: its outline, which is measured and not fitted, and the numbers that it might have as well."""
 
 

@@ -73,10 +73,7 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: 
     if kind not in readers:
         suffix = path.suffix or "a file without suffix"
         raise DataError(f"cannot read clouds from {suffix}", str(path), f"use {names}")
-    frames = readers[kind](path)
-    if frame is None and isinstance(frames, np.ndarray) and is_organised(frames):
-        log.warning("%s: %s is taken for one organised cloud, a point per pixel", path, list(frames.shape))
-        frames = [frames.reshape(-1, 3)]
+    frames = readers[kind](path) if frame is not None else _as_one(readers[kind](path), path)
     index = len(frames) - 1 if frame is None else frame
     if not -len(frames) <= index < len(frames):
         raise DataError(f"has {len(frames)} frames, no frame {index}", str(path), "use 0 for the first")
@@ -100,6 +97,14 @@ def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: 
         )
         finite &= ~empty
     return points[finite]
+
+
+def _as_one(frames: Frames, path: Path) -> Frames:
+    """The frames of a file, of which those that are an image's rows are one cloud."""
+    if not isinstance(frames, np.ndarray) or not is_organised(frames):
+        return frames
+    log.warning("%s: %s is taken for one organised cloud, a point per pixel", path, list(frames.shape))
+    return [frames.reshape(-1, 3)]
 
 
 def is_organised(points: np.ndarray) -> bool:

@@ -78,14 +78,14 @@ def moved(particles: Tensor, rotation: Tensor, translation: Tensor) -> Tensor:
     return torch.cat([particles[:, :3] @ rotation.T + translation, particles[:, 3:] @ rotation.T], 1)
 
 
-def misfit(particles: Tensor, cloud: Tensor, seen: Tensor) -> float:
-    """Mean distance (m) between particles and a cloud, [N, 6] and [P, 6], both ways, each without its farthest fifth.
+def misfit(particles: Tensor, cloud: Tensor, seen: Tensor, share: float = TRIM) -> float:
+    """Mean distance (m) between particles and a cloud, [N, 6] and [P, 6], both ways, each of its nearest `share`.
 
     Normals count as in `align`. Particles that are not `seen` [N] explain points, but need none near them.
     """
     distance = torch.cdist(particles * _METRIC, cloud * _METRIC)
     sides = (distance.amin(1)[seen] if seen.any() else distance.amin(1), distance.amin(0))
-    return sum(float(side.sort().values[: max(1, int(TRIM * len(side)))].mean()) for side in sides) / 2
+    return sum(float(side.sort().values[: max(1, int(share * len(side)))].mean()) for side in sides) / 2
 
 
 def soft_means(particles: Tensor, cloud: Tensor, scale: float) -> tuple[Tensor, Tensor]:

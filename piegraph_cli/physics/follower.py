@@ -25,9 +25,11 @@ FEWEST_POINTS = 20  # a cloud of fewer says too little about a pose: the frame c
 GRASP_RADIUS = 0.02  # metres from the hand to the particles it holds
 GRASP_GAIN = 3.0  # gain of a held particle, times that of a seen one
 SETTLED = 1e-4  # metres; assignment goes on to the next scale once no particle moves further in a round
+WHOLE = 1.0  # share of particles and points that a shape has to explain: a fifth may be an end that has bent
 RIGID_ENOUGH = 1.05  # times the misfit of the deformed shape up to which the undeformed one is taken
 EVERY, FINE = 2, 6  # which points of the surface are aligned at last, in how many rounds
 EXPLAINED = 0.012  # metres from the carried surface, beyond which a point is of something else, or newly in view
+ALMOST_ALL = 0.95  # share of what is seen of the object, and of the cloud, that lies in the other where it is not lost
 NOISE = 0.002  # metres that noise adds to the misfit of the first frame, whose points the particles are
 ODD, LOST = 1.5, 2.0  # times the usual misfit, beyond which a frame is not usual, and the object is lost
 LEAP = 0.1  # metres in a frame, further than a hand moves anything: a thing that looks alike from two sides was turned
@@ -131,11 +133,13 @@ class Follower:
         if searched:
             self.positions = find(soft, before, cloud, views, self.upright, limit)
         weight, fit = self._carry(soft, cloud, views, grip)
-        if fit > limit and not searched:
+        astray = fit > limit and not self._in_cloud(soft, cloud, views)
+        if astray and not searched:
             self.positions = find(soft, before, cloud, views, self.upright, limit)
             weight, fit = self._carry(soft, cloud, views, grip)
+            astray = fit > limit and not self._in_cloud(soft, cloud, views)
         leapt = float((self.positions - before).norm(dim=1).mean()) > LEAP and not searched
-        self.lost = (fit > limit or leapt) and not grip.holds
+        self.lost = (astray or leapt) and not grip.holds
         if self.lost:
             self.positions, self.share = before, 0.0
             return torch.zeros_like(weight), fit
@@ -143,6 +147,12 @@ class Follower:
             self.usual.append(fit)
         self.share = float((weight > 0).float().mean())
         return weight, fit
+
+    def _in_cloud(self, soft: SoftAssignment, cloud: Tensor, views: Sequence[View]) -> bool:
+        """Whether object and cloud [P, 6] lie in one another, whichever way they face: a rope that has rolled is not lost."""
+        carried = soft.carried(self.positions, soft.rotations(self.positions))
+        there = carried[_seen(carried[:, :3], views)]
+        return all(float(_near(a, b).float().mean()) >= ALMOST_ALL for a, b in ((cloud, carried), (there, cloud)))
 
     def _carry(self, soft: SoftAssignment, cloud: Tensor, views: Sequence[View], grip: "Grip") -> tuple[Tensor, float]:
         """Rigid alignment, then soft assignment at one scale after the other, then the first frame's shape on trial."""
@@ -178,8 +188,8 @@ class Follower:
         rotation, translation = kabsch(soft.rest[None], self.positions[None], None, self.upright)
         rigid = soft.oriented(soft.rest @ rotation[0].T + translation[0], rotation.expand(len(soft.rest), 3, 3))
         rigid = align(rigid, cloud, _seen(rigid[:, :3], views), len(soft.owner), self.upright)
-        bent = misfit(self._particles(), cloud, _seen(self.positions, views))
-        if misfit(rigid, cloud, _seen(rigid[:, :3], views)) <= RIGID_ENOUGH * bent:
+        bent = misfit(self._particles(), cloud, _seen(self.positions, views), WHOLE)
+        if misfit(rigid, cloud, _seen(rigid[:, :3], views), WHOLE) <= RIGID_ENOUGH * bent:
             surface = soft.carried(rigid[:, :3], soft.rotations(rigid[:, :3]))[::EVERY]
             fitted = align(surface, cloud, _seen(surface[:, :3], views), len(soft.owner), self.upright, FINE)
             rotation, translation = kabsch(surface[None, :, :3], fitted[None, :, :3], None, self.upright)
@@ -193,9 +203,14 @@ def _seen(positions: Tensor, views: Sequence[View]) -> Tensor:
 
 def _explained(cloud: Tensor, carried: Tensor) -> Tensor:
     """The points of a cloud [P, 6] near the carried surface [Q, 6]; all of them where they are the smaller part."""
-    distance = cKDTree(carried[:, :3].numpy()).query(cloud[:, :3].numpy(), distance_upper_bound=EXPLAINED)[0]
-    near = torch.as_tensor(np.isfinite(distance))
+    near = _near(cloud, carried)
     return cloud[near] if near.float().mean() > 0.5 else cloud
+
+
+def _near(points: Tensor, others: Tensor) -> Tensor:
+    """Which of the points [P, 6] lie within `EXPLAINED` of one of the others [Q, 6]: [P] bool."""
+    distance = cKDTree(others[:, :3].numpy()).query(points[:, :3].numpy(), distance_upper_bound=EXPLAINED)[0]
+    return torch.as_tensor(np.isfinite(distance))
 
 
 class Grip:

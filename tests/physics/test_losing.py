@@ -126,3 +126,35 @@ def test_doubt_grows_where_hidden_particles_move_and_the_cloud_is_missed():
     still = expected_error(np.zeros((6, 4, 3)), weight, usual, known)
     np.testing.assert_allclose(still, LEAST)
     assert expected_error(positions, weight, usual, np.arange(6) == 4)[4] == pytest.approx(UNKNOWN)
+
+
+def strip(bend: float = 0.0, roll: float = 0.0) -> np.ndarray:
+    """Cloud [P, 3] of a strip, 40 cm by 16 mm: its last quarter is bent aside by an angle, the whole rolled by another."""
+    rng = np.random.default_rng(3)
+    along, aside = rng.uniform(0, 0.4, 1500), rng.uniform(-0.008, 0.008, 1500)
+    over = np.maximum(along - 0.3, 0)
+    turn = bend * over / 0.1
+    middle = np.column_stack([along - over, np.zeros(1500)])
+    if bend:
+        middle += 0.1 / bend * np.column_stack([np.sin(turn), 1 - np.cos(turn)])
+    else:
+        middle[:, 0] += over
+    beside = aside[:, None] * np.column_stack([-np.sin(turn), np.cos(turn)]) * np.cos(roll)
+    points = np.column_stack([middle + beside, 0.016 + aside * np.sin(roll)])
+    return points + rng.normal(0, 0.0005, points.shape)
+
+
+def test_an_end_that_has_bent_stays_bent():
+    bends = [0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.1, 2.1]
+    found = track([strip(bend) for bend in bends])
+    assert not found.lost.any()
+    end = found.positions[0, :, 0].argmax()
+    np.testing.assert_allclose(found.positions[-1, end], strip(2.1)[strip()[:, 0].argmax()], atol=0.02)
+
+
+def test_a_rope_that_has_rolled_where_it_lies_is_not_lost():
+    found = track([strip(), strip(), strip(roll=1.2), strip(roll=1.5), strip(roll=1.5)])
+    assert found.misfit[3] > 2 * found.misfit[1]
+    assert not found.lost.any()
+    gone = track([strip(), strip(), strip()[:400] + [0.3, 0.6, 0.0]])
+    np.testing.assert_array_equal(gone.lost, [False, False, True])

@@ -156,5 +156,5 @@ def test_a_rope_that_has_rolled_where_it_lies_is_not_lost():
     found = track([strip(), strip(), strip(roll=1.2), strip(roll=1.5), strip(roll=1.5)])
     assert found.misfit[3] > 2 * found.misfit[1]
     assert not found.lost.any()
-    gone = track([strip(), strip(), strip()[:400] + [0.3, 0.6, 0.0]])
+    gone = track([strip(), strip(), strip()[:400] + np.array([0.3, 0.6, 0.0])])
     np.testing.assert_array_equal(gone.lost, [False, False, True])

@@ -143,12 +143,32 @@ def test_training_learns_from_training_sequences_and_notes_the_loss_on_validatio
     assert best != pytest.approx(loss_on(data, model, TEST), rel=1e-2)
 
 
-def test_the_kept_weights_are_those_of_the_lowest_validation_loss(data):
-    """A learning rate that ruins the network: the first record is the best one, not the last."""
-    model = make_model(data, "piegraph", **TINY | {"learning_rate": 3.0, "steps": 12, "clip": 100.0})
-    found = model["validation_loss"]
-    assert found.argmin() < len(found) - 1
-    assert found.min() == pytest.approx(loss_on(data, model, VALIDATION), rel=1e-4)
+def test_the_kept_weights_are_those_of_the_lowest_validation_loss(data, monkeypatch):
+    """Losses on validation that are told, lowest at the third look: rounding can not decide which is best."""
+    learner = MODELS["piegraph"].learner
+    assert learner is not None
+    real, weights = learner.examples, []
+
+    class Told:
+        def __init__(self, examples):
+            self.examples, self.static_loss = examples, examples.static_loss
+
+        def __len__(self):
+            return len(self.examples)
+
+        def loss(self, network, chosen, rng=None):
+            if rng is not None:
+                return self.examples.loss(network, chosen, rng)
+            weights.append({name: value.detach().clone() for name, value in network.state_dict().items()})
+            return torch.tensor(abs(len(weights) - 3.0) + 1)
+
+    monkeypatch.setitem(learner.__dict__, "examples", lambda *given: Told(real(*given)))
+    model = make_model(data, "piegraph", **TINY | {"steps": 12, "cycles": 1})
+    assert model["validation_loss"].tolist() == [abs(k - 2.0) + 1 for k in range(len(weights))]
+    assert len(weights) > 3
+    for name, value in weights[2].items():
+        np.testing.assert_array_equal(model[f"weights/{name}"], value)
+    assert any((weights[2][name] != value).any() for name, value in weights[-1].items())
 
 
 def test_without_validation_sequences_there_is_no_validation_loss():

@@ -107,12 +107,11 @@ class Session:
     @contextmanager
     def _received(self, take: Take) -> Iterator[None]:
         """Hand shots to a take, and wait for those that are being written when it is over."""
-        self.station.receive = take.add
+        self.station.hand_to(take.add)
         try:
             yield
         finally:
-            self.station.receive = None
-            self.station.settle()
+            self.station.hand_to(None)
 
     def _finish(self, take: Take, keep: bool) -> None:
         done = take.finish(keep)

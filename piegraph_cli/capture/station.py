@@ -1,5 +1,6 @@
 """Several cameras that run: a thread reads each of them, keeps its latest shot, and hands shots to the take that is on."""
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -28,8 +29,8 @@ class Station:
         self.latest: dict[str, Shot] = {}
         self.failure: Exception | None = None
         """Why the first camera that stopped did."""
-        self.receive: Callable[[str, Shot], None] | None = None
-        """Gets every shot while it is set, in the thread of its camera."""
+        self._receive: Callable[[str, Shot], None] | None = None
+        self._begin = 0.0
         self._counts = dict.fromkeys(self.cameras, 0)
         self._busy = {name: threading.Lock() for name in self.cameras}
         self._running = False
@@ -100,11 +101,19 @@ class Station:
             )
         return found
 
-    def settle(self) -> None:
-        """Wait until no thread is within `receive` any more."""
-        for lock in self._busy.values():
-            with lock:
-                continue
+    def hand_to(self, receive: Callable[[str, Shot], None] | None) -> None:
+        """Let `receive` have every shot from now on, in the thread of its camera, until it is another's turn.
+
+        Now is the latest shot of all cameras: what another camera took before, and its thread brings late, has no partner.
+        Where their clocks disagree by more than a camera may be late, nothing tells which is right, and it gets all.
+        No thread is within the former `receive` any more when this returns.
+        """
+        with contextlib.ExitStack() as stack:
+            for lock in self._busy.values():
+                stack.enter_context(lock)
+            times = [shot.time for shot in self.latest.values()]
+            self._begin = max(times) if times and max(times) - min(times) < SILENCE else 0.0
+            self._receive = receive
 
     def _read(self, name: str) -> None:
         """Read one camera until all is over or it fails."""
@@ -112,14 +121,14 @@ class Station:
             try:
                 shot = self.cameras[name].read(SILENCE)
                 with self._busy[name]:
-                    if self.receive is not None:
-                        self.receive(name, shot)
+                    if self._receive is not None and shot.time > self._begin:
+                        self._receive(name, shot)
+                    self.latest[name] = shot
             except Exception as error:  # a thread has nobody else to tell
                 with self._changed:
                     self.failure = self.failure or error
                     self._changed.notify_all()
                 return
             with self._changed:
-                self.latest[name] = shot
                 self._counts[name] += 1
                 self._changed.notify_all()

@@ -70,7 +70,7 @@ class Take:
         """End the take once no thread adds to it any more: keep it, or remove it. What has too few frames is never kept."""
         end = min((t[-1] for t in self.times.values() if t), default=0.0)
         for name, times in self.times.items():
-            self._cut(name, times, end + 1 / self.fps)
+            self._cut(name, times, end + 0.5 / self.fps)
         frames = {name: len(times) for name, times in self.times.items()}
         seconds, kept = self.seconds, keep and min(frames.values()) >= FEWEST
         dropped = {name: self._dropped(times) for name, times in self.times.items()}

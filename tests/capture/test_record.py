@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
@@ -43,7 +44,7 @@ def record(folder, *options, check=0):
 
 def test_takes_become_sequences_that_ingest_reads(plugged, tmp_path):
     plugged(one := MadeUp("11"), two := MadeUp("22"))
-    found = record(tmp_path / "mine", "--cameras", "front=22,left=11", "--takes", 2)
+    found = record(tmp_path / "mine", "--cameras", "front=22,left=11", "--takes", 2, "--seconds", 0.6)
     assert [t["sequence"] for t in found["takes"]] == ["sequence_0000", "sequence_0001"]
     assert not one.running
     assert not two.running
@@ -253,3 +254,16 @@ def test_times_that_do_not_belong_together_are_refused():
         pytest.raises(DataError, match="ms behind cam1"),
     ):
         station.shots()
+
+
+@pytest.mark.parametrize(("behind", "waits"), [(1.0, True), (3600.0, False)])
+def test_shots_are_handed_on_from_one_moment_of_all_cameras(behind, waits):
+    """What a camera had taken before, and its thread brings late, has no partner; clocks that disagree tell no moment."""
+    got: dict[str, list[float]] = {"cam0": [], "cam1": []}
+    with station_of(MadeUp("11", delay=-behind), MadeUp("22")) as station:
+        begin = time.time()
+        station.hand_to(lambda name, shot: got[name].append(shot.time + (behind if name == "cam0" else 0) - begin))
+        station.wait(lambda: min(map(len, got.values())) >= 1, 5)
+        station.hand_to(None)
+    assert (got["cam0"][0] > 0.8) == waits
+    assert got["cam1"][0] < 0.8

@@ -55,7 +55,7 @@ def test_a_variant_that_changes_nothing_is_left_out():
 
 def test_an_experiment_end_to_end(tmp_path):
     """Predictions, what fewer sequences cost, trials, pictures; a second time nothing is done and the table is equal."""
-    command = ("reproduce", "data-fidelity", "--quick", "--runs", tmp_path / "a b", "--jobs", 2)
+    command = ("reproduce", "data-fidelity", "--quick", "--set", "steps=0.002", "--runs", tmp_path / "a b", "--jobs", 2)
     first = piegraph_json(*command)["data-fidelity"]
     assert first["failed"] == []
     rows = {(r["model"], r["horizon"]): r for r in first["predictions"]}

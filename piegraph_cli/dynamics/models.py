@@ -31,7 +31,7 @@ from piegraph_cli.dynamics.reliability import Calibration, signs_of
 from piegraph_cli.dynamics.rigid_body import RigidBody, body_frame
 from piegraph_cli.dynamics.rigid_residual import RigidResidual
 from piegraph_cli.dynamics.spring_fit import SMS
-from piegraph_cli.dynamics.stroke import Foresee, Predict, Strokes
+from piegraph_cli.dynamics.stroke import Foresee, Predict, Spread, Strokes
 from piegraph_cli.dynamics.training import Examples
 from piegraph_cli.physics import spring_kernel
 from piegraph_cli.physics.particles import Sizes
@@ -150,8 +150,7 @@ def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
 def _springs_alone(trained: Trained, rest: torch.Tensor) -> Predict:
     springs = trained.network
     assert isinstance(springs, SMS)
-    graph = springs.springs(rest.cpu().numpy())
-    return lambda positions, strokes: springs.predict(positions, strokes, graph)
+    return springs.predict(rest.cpu().numpy())
 
 
 def _springs_as_given(rest: torch.Tensor, params: PredictionParams) -> Predict:
@@ -167,13 +166,15 @@ def _pushed(trained: Trained, rest: torch.Tensor) -> Predict:
     return lambda positions, strokes: body.predict(positions, strokes, rest, frame)
 
 
-def _spread(trained: Trained | None, rest: torch.Tensor) -> Callable[[torch.Tensor, Strokes], torch.Tensor] | None:
-    """How far apart (m) the ends lie that its strokes leave possible, of a rigid body; None for what springs correct."""
-    body = None if trained is None else trained.network
-    if not isinstance(body, RigidBody):
+def _spread(trained: Trained | None, rest: torch.Tensor) -> Spread | None:
+    """How far apart the ends lie that its strokes leave possible, of what is fitted; None for what springs correct."""
+    network = None if trained is None else trained.network
+    if isinstance(network, SMS):
+        return network.spread(rest.cpu().numpy())
+    if not isinstance(network, RigidBody):
         return None
-    frame = body_frame(rest.cpu().numpy(), body.shape.cpu().numpy())
-    return lambda positions, strokes: body.spread(positions, strokes, rest, frame)
+    frame = body_frame(rest.cpu().numpy(), network.shape.cpu().numpy())
+    return lambda positions, strokes, _: network.spread(positions, strokes, rest, frame)
 
 
 def _guided(rest: torch.Tensor, params: PredictionParams) -> Correct:
@@ -256,18 +257,23 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     One neighbour list serves every prediction of a graph network: it is cheaper than a new one per state, and more accurate
     over several strokes, since layers of a folded object do not connect. `name` may end in @ and a number of sequences.
     """
-    foresee = make_foresee(name, trained, rest, params)
+    foresee = _foresee(name, trained, rest, params, None)
     return lambda positions, strokes: foresee(positions, strokes)[0]
 
 
 def make_foresee(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Foresee:
     """As `make_predict`, beside the signs of how far off a prediction may be."""
+    return _foresee(name, trained, rest, params, _spread(trained, rest))
+
+
+def _foresee(
+    name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams, spread: Spread | None
+) -> Foresee:
     name = split_label(name)[0]
     if name == "static":
         return sure(lambda positions, strokes: positions)
     move, correction = _move(name, trained, rest, params), MODELS[name].correction
     correct = correction(rest, params) if correction else None
-    spread = _spread(trained, rest)
 
     def foresee(positions: torch.Tensor, strokes: Strokes) -> tuple[torch.Tensor, torch.Tensor]:
         strokes.check()
@@ -275,7 +281,7 @@ def make_foresee(name: str, trained: Trained | None, rest: torch.Tensor, params:
         after = correct(positions, setpoint) if correct else setpoint
         signs = signs_of(positions, setpoint, after)
         if spread is not None:
-            signs[:, 1] = spread(positions, strokes)
+            signs[:, 1] = spread(positions, strokes, after)
         return after, signs
 
     return foresee

@@ -157,3 +157,6 @@ Predict = Callable[[Tensor, Strokes], Tensor]
 
 Foresee = Callable[[Tensor, Strokes], tuple[Tensor, Tensor]]
 """The same, beside the signs [B, 2] (m) of how far off each prediction may be: see `dynamics.reliability`."""
+
+Spread = Callable[[Tensor, Strokes, Tensor], Tensor]
+"""How far apart [B] (m) strokes may end that are predicted to end in a state [B, N, 3] (m), from one before them."""

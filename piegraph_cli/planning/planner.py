@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import Trained, make_foresee, recordable
+from piegraph_cli.dynamics.models import Trained, make_foresee, make_predict, recordable, sure
 from piegraph_cli.dynamics.params import trained_label
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH, mode_number, mode_word
@@ -58,11 +58,15 @@ def make_planner(
         picks = stroke_space(torch.as_tensor(state), params, (PICK,), radius)
         return cost, lambda positions, _: put_worst_right(positions, places, cost, picks)
     rest = torch.as_tensor(state, device=device)
-    foresee = make_foresee(params.model, trained, rest, params)
+    calibration = trained.calibration if trained else None
+    if calibration is None:
+        foresee = sure(make_predict(params.model, trained, rest, params))
+    else:
+        foresee = make_foresee(params.model, trained, rest, params)
     space = stroke_space(rest, params, modes, pusher_radius(params, tool))
     generator = torch.Generator(device).manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     record = rest.is_cuda and recordable(params.model) and len(modes) == 1 and kind != "emd"
-    calibration, there = trained.calibration if trained else None, make_cost(kind, target.to(rest), len(state))
+    there = make_cost(kind, target.to(rest), len(state))
     return cost, Search(foresee, there, space, params, generator, record, calibration)
 
 

@@ -8,7 +8,8 @@ import torch
 
 from piegraph_cli.dynamics import sms, spring_fit
 from piegraph_cli.dynamics.examples import Sequences
-from piegraph_cli.dynamics.params import SMSParams
+from piegraph_cli.dynamics.models import Trained, make_foresee
+from piegraph_cli.dynamics.params import PredictionParams, SMSParams
 from piegraph_cli.dynamics.spring_fit import SMS, fitted, numbers_of, springs_of
 from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.params import PICK, PUSH
@@ -48,7 +49,7 @@ def carried(count: int, seed: int = 0, held: float = HELD) -> Sequences:
 def left(springs: SMS, data: Sequences) -> float:
     """Mean particle error of its predictions as a share of the motion."""
     before, after = (torch.as_tensor(data.positions[k]) for k in data.strokes.T)
-    found = springs.predict(before, data.whole(), springs.springs(data.rest[0]))
+    found = springs.predict(data.rest[0])(before, data.whole())
     return float((found - after).norm(dim=-1).mean() / (before - after).norm(dim=-1).mean())
 
 
@@ -64,6 +65,29 @@ def test_one_fit_finds_the_springs_of_pushes_and_of_picks(picks):
     again = SMS(SMSParams())
     again.load_state_dict({n.removeprefix("weights/"): torch.as_tensor(v) for n, v in made.arrays.items() if "/" in n})
     assert left(again, others) == left(springs, others)
+
+
+def unsure(springs: SMS, data: Sequences) -> float:
+    """Mean second sign of its predictions (m)."""
+    trained = Trained(springs, springs.params, data.pace, (PUSH,), data.positions.shape[1])
+    foresee = make_foresee("sms-o", trained, torch.as_tensor(data.rest[0]), PredictionParams())
+    before = torch.as_tensor(data.positions[data.strokes[:, 0]])
+    after, signs = foresee(before, data.whole())
+    assert torch.equal(after, springs.predict(data.rest[0])(before, data.whole()))
+    return float(signs[:, 1].mean())
+
+
+def test_springs_tell_how_far_strokes_leave_them_open():
+    """Few strokes leave more springs possible than many, and a model of before says nothing."""
+    others = recorded(NUMBERS, SPAN, 10, 1)
+    few, many = SMS(SMSParams()), SMS(SMSParams())
+    few.fit(recorded(NUMBERS, SPAN, 2))
+    many.fit(recorded(NUMBERS, SPAN, 16))
+    assert unsure(few, others) > 2 * unsure(many, others) > 0
+    of_before = SMS(SMSParams())
+    of_before.load_state_dict({n: v for n, v in few.state_dict().items() if n != "others"})
+    assert unsure(of_before, others) == 0
+    assert left(of_before, others) == left(few, others)
 
 
 def test_what_a_pick_holds_is_told_by_strokes_and_stays_as_it_is_without_picks():

@@ -18,7 +18,7 @@ from piegraph_cli.dynamics.examples import Pairs, Sequences, Windows
 from piegraph_cli.dynamics.models import MODELS, Trained, make_network, make_predict
 from piegraph_cli.dynamics.params import BY_GRADIENT, LEARNED, TRAINED_AS, PredictionParams
 from piegraph_cli.dynamics.rigid_body import RigidBody
-from piegraph_cli.dynamics.spring_fit import SMS
+from piegraph_cli.dynamics.spring_fit import SMS, springs_of
 from piegraph_cli.errors import DataError
 from piegraph_cli.physics import pushing, simulation
 from piegraph_cli.physics.rigid import rigid_projection
@@ -92,7 +92,7 @@ def alone(name: str, rest: torch.Tensor = REST, picks: bool = False, now: torch.
     network, moves = trained(name, picks).network, strokes(picks)
     now = now.expand(BATCH, -1, -1).clone()
     if isinstance(network, SMS):
-        graph = network.springs(rest.numpy())
+        graph = springs_of(rest.numpy(), float(network.span))
         return swept(now, moves, graph, sms.push_params(graph, SPRINGS[:5]), sms.STRIDE, float(SPRINGS[5]))
     if isinstance(network, (pgnd.PGND, gbnd.GBND)):
         return torch.cat([step_by_step(network, now[k : k + 1], moves[k]) for k in range(BATCH)])

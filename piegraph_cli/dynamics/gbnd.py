@@ -70,7 +70,7 @@ class GBND(nn.Module):
 
         Rows of particles [B * N], and of particles and tool [B * (N + RING)].
         """
-        batch, particles, _ = near.shape
+        _, particles, _ = near.shape
         scene, particle, slot = near.nonzero(as_tuple=True)
         return scene * particles + particle, scene * (particles + RING) + neighbors[scene, particle, slot]
 

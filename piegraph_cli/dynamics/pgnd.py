@@ -141,7 +141,10 @@ class PGND(nn.Module):
         near /= near.sum(-1, keepdim=True).clamp_min_(1)
         # the first layer is linear: of a node's features it is the mean of what it makes of particles, of its place the
         # sum of what it makes of the three numbers, so that it is worked out for a hundred rows in place of all nodes
-        first = self.decode[0][0]
+        layers = self.decode[0]
+        assert isinstance(layers, nn.Sequential)
+        first = layers[0]
+        assert isinstance(first, nn.Linear)
         rows, which = [features @ first.weight[:, -features.shape[-1] :].T], [near]
         for axis in range(3):
             low, high = grid[..., axis].aminmax()
@@ -152,7 +155,7 @@ class PGND(nn.Module):
             rows.append(torch.cat([place, waves.sin(), waves.cos()], -1) @ of_axis.T)
             which.append((grid[..., axis, None] == along).to(nodes))
         hidden = first.bias + torch.cat(which, -1) @ torch.cat(rows, 1)
-        velocity = self.decode[1:](self.decode[0][1:](hidden))
+        velocity = self.decode[1:](layers[1:](hidden))
         held = (nodes[..., :2] - tool.place[:, None]).norm(dim=-1, keepdim=True) < self.params.gripper
         held = held & tool.holds[:, None, None]
         rigid = torch.nn.functional.pad(tool.motion / FRAME, (0, 1))[:, None]

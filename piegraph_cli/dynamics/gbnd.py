@@ -64,31 +64,43 @@ class GBND(nn.Module):
         number = positions.shape[1] + torch.arange(RING, device=tool.device).expand(apart.shape)
         return torch.cat([neighbors, number], -1), torch.cat([nearest, apart], -1) < self.params.radius
 
+    @staticmethod
+    def links(neighbors: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
+        """Receivers and senders [E] of the edges that are near, of `graph`: what is not near costs nothing.
+
+        Rows of particles [B * N], and of particles and tool [B * (N + RING)].
+        """
+        _, particles, _ = near.shape
+        scene, particle, slot = near.nonzero(as_tuple=True)
+        return scene * particles + particle, scene * (particles + RING) + neighbors[scene, particle, slot]
+
     def step(self, past: Tensor, hand: Tensor, after: Tensor, mode: Tensor) -> Tensor:
         """Particles [B, N, 3] one frame later; past [B, frames, N, 3], hand and where it goes [B, 2] (m), mode [B]."""
         x = past[:, -1]
         batch, particles, _ = x.shape
         place = self.tool(hand, mode)
-        neighbors, near = self.graph(x.detach(), place)
+        receiver, sender = self.links(*self.graph(x.detach(), place))
         before = 3 * self.params.history
         moved = (past[:, 1:] - past[:, :-1]).transpose(1, 2).flatten(2) * SCALE
         own = torch.cat([moved, x[..., 2:] * DECIMETRE], -1)
         own = torch.nn.functional.pad(own, (0, 6)) + x.new_tensor([0.0] * (before + 1) + [1, 0, 0, 0, 0, 0])
         motion = torch.nn.functional.pad((after - hand) * SCALE, (0, 1))
         kind = x.new_tensor([0.0] * before + [TOOL_HEIGHT * DECIMETRE, 0, 1]).expand(batch, -1)
-        tool = torch.cat([kind, motion, mode[:, None].to(x)], -1)[:, None].expand(-1, RING, -1)
-        nodes = self.nodes(torch.cat([own, tool], 1))
-        offset = (x[:, :, None] - gather_neighbors(torch.cat([x, place], 1), neighbors)) * DECIMETRE
-        is_tool = (neighbors >= particles).to(x)[..., None]
+        tool = self.nodes(torch.cat([kind, motion, mode[:, None].to(x)], -1))
+        first = self.nodes(own.flatten(0, 1))
+        there = torch.cat([x, place], 1).flatten(0, 1)
+        offset = (x.flatten(0, 1).index_select(0, receiver) - there.index_select(0, sender)) * DECIMETRE
+        is_tool = (sender % (particles + RING) >= particles).to(x)[:, None]
         edges = self.edges(torch.cat([offset, (offset.square().sum(-1, keepdim=True) + 1e-12).sqrt(), is_tool], -1))
-        # what is not near sends nothing: no message is below zero
-        relation, h = self.relate(edges).masked_fill(~near[..., None], -torch.inf), nodes
+        relation, of_tool = self.relate(edges), self.send(tool)[:, None].expand(-1, RING, -1)
+        unchanging, of_sum = self.update.weight.split(first.shape[1], 1)
+        kept, h = torch.nn.functional.linear(first, unchanging, self.update.bias), first
         for _ in range(ROUNDS):
-            message = relation + self.receive(h[:, :particles])[:, :, None]
-            gathered = message.add_(gather_neighbors(self.send(h), neighbors)).relu_().sum(2)
-            own = torch.relu(self.update(torch.cat([nodes[:, :particles], gathered], -1)) + h[:, :particles])
-            h = torch.cat([own, h[:, particles:]], 1)
-        return x + self.head(h[:, :particles]) / SCALE
+            sent = torch.cat([self.send(h).view(batch, particles, -1), of_tool], 1).flatten(0, 1)
+            message = self.receive(h).index_select(0, receiver).add_(relation).add_(sent.index_select(0, sender))
+            gathered = torch.zeros_like(first).index_add_(0, receiver, message.relu_())
+            h = torch.relu(kept + gathered @ of_sum.T + h)
+        return x + self.head(h).view_as(x) / SCALE
 
     def loss(self, window: Window, step: Step | None = None) -> Tensor:
         """Mean squared particle error plus `edge_weight` times that of neighbours' distances, in dm^2.

@@ -43,6 +43,9 @@ Correct = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 CHUNK = 64
 """Scenes that a network in PyTorch predicts together, so that its arrays stay in the cache."""
 
+FRAME_CHUNK = 16
+"""The same for one that predicts frame by frame, whose arrays are larger: a row for every node or edge."""
+
 
 SHORTEST = 1e-3
 """Of a step that a model by frames goes at the end of a stroke, as a share of the others: less is rounding."""
@@ -141,7 +144,7 @@ def _frame_by_frame(trained: Trained, rest: torch.Tensor) -> Predict:
     @torch.inference_mode()
     def predict(positions: torch.Tensor, strokes: Strokes) -> torch.Tensor:
         order = strokes.length.argsort(descending=True)
-        chunks = zip(positions[order].split(CHUNK), strokes[order].split(CHUNK), strict=True)
+        chunks = zip(positions[order].split(FRAME_CHUNK), strokes[order].split(FRAME_CHUNK), strict=True)
         return torch.cat([roll(x, stroke) for x, stroke in chunks])[order.argsort()]
 
     return predict

@@ -77,18 +77,19 @@ def active_nodes(nodes: Tensor) -> tuple[Tensor, Tensor]:
 
     Scenes with fewer than M repeat a node that nothing points to.
     """
-    batch, count, _ = nodes.shape
-    scene = torch.arange(batch, device=nodes.device)[:, None]
     inside = nodes.clamp(0, NODES - 1)
-    linear = ((scene * NODES + inside[..., 0]) * NODES + inside[..., 1]) * NODES + inside[..., 2]
-    distinct, place = torch.unique(linear, return_inverse=True)
-    owner = distinct // NODES**3
-    begin = torch.searchsorted(owner, torch.arange(batch + 1, device=nodes.device))
-    most = int((begin[1:] - begin[:-1]).max())
-    rows = torch.minimum(begin[:-1, None] + torch.arange(most, device=nodes.device), begin[1:, None] - 1)
-    code = distinct[rows] % NODES**3
-    found = torch.stack([code // NODES**2, code // NODES % NODES, code % NODES], -1)
-    return found, place.view(batch, count) - begin[:-1, None]
+    corner = inside.amin((0, 1))
+    size = inside.amax((0, 1)) - corner + 1
+    x, y, z = (inside - corner).unbind(-1)
+    linear = (x * size[1] + y) * size[2] + z
+    taken = torch.zeros(len(nodes), int(size.prod()), dtype=torch.bool, device=nodes.device).scatter_(1, linear, True)
+    number = taken.cumsum(1)
+    code, end = taken.nonzero()[:, 1], number[:, -1].cumsum(0)
+    begin = end - number[:, -1]
+    most = torch.arange(int(number[:, -1].max()), device=nodes.device)
+    code = code[torch.minimum(begin[:, None] + most, end[:, None] - 1)]
+    found = torch.stack([code // (size[1] * size[2]), code // size[2] % size[1], code % size[2]], -1) + corner
+    return found, number.gather(1, linear) - 1
 
 
 class PGND(nn.Module):
@@ -129,16 +130,32 @@ class PGND(nn.Module):
     def field(
         self, nodes: Tensor, positions: Tensor, counts: Tensor, features: Tensor, centre: Tensor, tool: Tool
     ) -> Tensor:
-        """Velocities [B, M, 3] (m/s) at nodes [B, M, 3] (m, of the grid's frame).
+        """Velocities [B, M, 3] (m/s) at nodes [B, M, 3] (int64, numbers along the grid's axes).
 
-        positions [B, P, 3] of particles and the pusher's points, of which `counts` [B, P] are there, with their features
-        [B, P, 64]; the object's centre [B, 3], on the table. Nodes near a tool that holds take its velocity.
+        positions [B, P, 3] (m, of the grid's frame) of particles and the pusher's points, of which `counts` [B, P] are
+        there, with their features [B, P, 64]; the object's centre [B, 3], on the table. Nodes near a tool that holds take
+        its velocity.
         """
-        near = torch.cdist(nodes.detach(), positions.detach()).lt_(self.params.reach).mul_(counts[:, None])
-        feature = near @ features / near.sum(-1, keepdim=True).clamp_min(1)
-        place = (nodes - centre[:, None]) * math.pi
-        waves = torch.cat([place * 2**k for k in range(OCTAVES)], -1)
-        velocity = self.decode(torch.cat([place, waves.sin(), waves.cos(), feature], -1))
+        grid, nodes = nodes, nodes.to(positions) * self.params.cell
+        near = torch.cdist(nodes, positions.detach()).lt_(self.params.reach).mul_(counts[:, None])
+        near /= near.sum(-1, keepdim=True).clamp_min_(1)
+        # the first layer is linear: of a node's features it is the mean of what it makes of particles, of its place the
+        # sum of what it makes of the three numbers, so that it is worked out for a hundred rows in place of all nodes
+        layers = self.decode[0]
+        assert isinstance(layers, nn.Sequential)
+        first = layers[0]
+        assert isinstance(first, nn.Linear)
+        rows, which = [features @ first.weight[:, -features.shape[-1] :].T], [near]
+        for axis in range(3):
+            low, high = grid[..., axis].aminmax()
+            along = torch.arange(int(low), int(high) + 1, device=nodes.device)
+            place = (along.to(nodes) * self.params.cell - centre[:, axis, None])[..., None] * math.pi
+            waves = torch.cat([place * 2**k for k in range(OCTAVES)], -1)
+            of_axis = first.weight[:, axis : 3 + 6 * OCTAVES : 3]
+            rows.append(torch.cat([place, waves.sin(), waves.cos()], -1) @ of_axis.T)
+            which.append((grid[..., axis, None] == along).to(nodes))
+        hidden = first.bias + torch.cat(which, -1) @ torch.cat(rows, 1)
+        velocity = self.decode[1:](layers[1:](hidden))
         held = (nodes[..., :2] - tool.place[:, None]).norm(dim=-1, keepdim=True) < self.params.gripper
         held = held & tool.holds[:, None, None]
         rigid = torch.nn.functional.pad(tool.motion / FRAME, (0, 1))[:, None]
@@ -164,9 +181,9 @@ class PGND(nn.Module):
         touched, weights = stencil(x[:, :particles], cell)
         nodes, place = active_nodes(touched.flatten(1, 2))
         tool = Tool(hand + origin[:, :2], after - hand, picks)
-        velocity = self.field(nodes.to(x) * cell, x, counts, self.features(both, centre), centre + origin, tool)
-        around = velocity.gather(1, place[..., None].expand(-1, -1, 3)).view(*touched.shape)
-        return past[:, -1] + FRAME * (weights[..., None] * around).sum(2)
+        velocity = self.field(nodes, x, counts, self.features(both, centre), centre + origin, tool)
+        share = weights.new_zeros(*weights.shape[:2], nodes.shape[1]).scatter(2, place.view(weights.shape), weights)
+        return past[:, -1] + FRAME * (share @ velocity)
 
     def loss(self, window: Window, step: Step | None = None) -> Tensor:
         """100 times the mean squared particle error (m^2) over the frames of a window.

@@ -234,8 +234,7 @@ def test_nodes_at_a_hand_that_holds_move_with_it_and_nothing_flows_into_the_tabl
     network = untrained("pgnd", data).network
     with torch.no_grad():
         network.decode[-1].bias += torch.tensor([0.0, 0.0, -5.0])
-    cell = network.params.cell
-    nodes = torch.tensor([[[0.5, 0.5, 0.1], [0.5, 0.5, pgnd.WALL * cell], [0.9, 0.5, 0.3]]])
+    nodes = torch.tensor([[[25, 25, 5], [25, 25, pgnd.WALL], [45, 25, 15]]])
     x, centre = torch.full((1, 8, 3), 0.5), torch.tensor([[0.5, 0.5, 0.0]])
     counts, features = torch.ones(1, 8, dtype=torch.bool), torch.zeros(1, 8, 64)
 

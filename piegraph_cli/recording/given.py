@@ -25,8 +25,13 @@ def _explained(check: Check, cameras: Sequence[Camera]) -> Check:
     of_check = [camera for camera in cameras if camera.name in check.cameras]
     same = sorted({name for camera in of_check for name in _sharing(camera, cameras)})
     if same:
-        cause = f"{listed(same)} have the same T_world_camera"
-        return replace(check, cause=cause, remedy="give each camera its own pose: piegraph calibrate")
+        cause, remedy = (
+            f"{listed(same)} have the same T_world_camera",
+            "give each camera its own pose: piegraph calibrate",
+        )
+        if len(check.cameras) == 1 and check.cause:  # its table may be wrong for another reason as well
+            cause, remedy = f"{cause}; {check.cause}", f"{remedy}; {check.remedy}"
+        return replace(check, cause=cause, remedy=remedy)
     beside = [camera for camera in of_check if _beside(camera) > BESIDE]
     if beside and len(check.cameras) > 1:
         camera = beside[0]

@@ -32,7 +32,6 @@ def _back_counterclockwise(size: Size) -> np.ndarray:
     return np.array([[0.0, 1, 0], [-1, 0, size[0] - 1], [0, 0, 1]])
 
 
-
 def find_lens(
     planes: Sequence[Sequence[Plane]],
     poses: Sequence[np.ndarray],
@@ -122,7 +121,9 @@ def find_crop(
     rows, done = abs(best) * sizes[bad[0]][1], "cut off" if best > 0 else "added"
     text = f"with about {rows:.0f} rows {done} at the top since, the table is at z = {table:g}: were the images "
     text += "cropped?" if best > 0 else "padded?"
-    columns = "of columns at the left and rows at the top, what was cut off is less in cx and cy of K, what was added more"
+    columns = (
+        "of columns at the left and rows at the top, what was cut off is less in cx and cy of K, what was added more"
+    )
     return Cause(text, columns, tuple(bad))
 
 
@@ -140,7 +141,9 @@ def find_ranges(
     if _worst([np.eye(3)] * len(planes), planes, poses, bad, table, limits) > CLOSE:
         return None
     text = f"depth taken as the distance along each pixel's ray puts the table at z = {table:g}"
-    return Cause(text, "write z, the distance along the camera's axis, as depth cameras and renderers give it too", tuple(bad))
+    return Cause(
+        text, "write z, the distance along the camera's axis, as depth cameras and renderers give it too", tuple(bad)
+    )
 
 
 def _worst(

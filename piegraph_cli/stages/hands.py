@@ -28,6 +28,10 @@ ASKED = 8
 """Frames of a camera that hardly sees a hand in which its colours are exchanged."""
 BLUE = "red and blue are exchanged: a hand is seen once they are put back"
 WRITE_RGB = "write the colour images again with their channels in order: cv2.imwrite takes BGR"
+GREY = 8
+"""By how much (of 255) red, green and blue of nearly all pixels differ at most where an image has no colours."""
+NO_COLOR = "the colour images are grey: hands and objects are found by their colours"
+WITH_COLOR = "record colour, not infrared; or --source glove, stick or file"
 BOTH_MOVE = 0.06
 """How far (m) both of two hands must go for the user to be warned."""
 
@@ -57,8 +61,10 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     blue = ", ".join(
         c.name for c, of, r in zip(cameras, images, rates, strict=True) if r < POOR and _exchanged(of, model)
     )
+    grey = ", ".join(c.name for c, of, r in zip(cameras, images, rates, strict=True) if r < POOR and _is_grey(of))
     if not rates.any():
-        raise DataError(BLUE, f"{frames.path}, {blue}", WRITE_RGB) if blue else no_hand(frames, params)
+        odd = (BLUE, blue, WRITE_RGB) if blue else (NO_COLOR, grey, WITH_COLOR) if grey else None
+        raise DataError(odd[0], f"{frames.path}, {odd[1]}", odd[2]) if odd else no_hand(frames, params)
     each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
     tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
     ways = [travel(end_effector(track.keypoints)) for track in tracks]
@@ -67,6 +73,7 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     arrays |= {"end_effector": end_effector(hand.keypoints), "observed": hand.observed, "time": time}
     quality, warnings = _told([c.name for c in cameras], hand, ways)
     warnings += [f"{blue}: {BLUE}\n  try: {WRITE_RGB}"] if blue else []
+    warnings += [f"{grey}: {NO_COLOR}\n  try: {WITH_COLOR}"] if grey else []
     if params.source == "auto" and hand.observed.mean() < POOR:
         warnings += completed(arrays, frames, params)
     return Output(arrays, quality, warnings)
@@ -85,6 +92,14 @@ def _exchanged(images: "CameraImages", model: "Path") -> bool:
         for of in (looks, [np.ascontiguousarray(image[..., ::-1]) for image in looks])
     )
     return other >= ASKED // 2 and other > 2 * as_is
+
+
+def _is_grey(images: "CameraImages") -> bool:
+    """Whether a camera's images have no colours."""
+    import numpy as np
+
+    looks = [images[frame][::4, ::4].astype(int) for frame in {0, len(images) // 2}]
+    return all(float(np.quantile(np.ptp(image, axis=-1), 0.999)) <= GREY for image in looks)
 
 
 def _told(names: list[str], hand: "HandTrack", ways: list[float]) -> tuple[str, list[str]]:

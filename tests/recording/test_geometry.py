@@ -321,7 +321,10 @@ def exchanged_middle(views):
 
 
 IMAGES = {
-    "cropped at the top": (cropped(0, 30), r"with about (29|30|31) rows cut off at the top since, .*: were the images cropped"),
+    "cropped at the top": (
+        cropped(0, 30),
+        r"with about (29|30|31) rows cut off at the top since, .*: were the images cropped",
+    ),
     "cropped at both": (cropped(40, 24), r"with about (23|24|25) rows cut off at the top"),
     "cropped at the left": (cropped(60, 0), r"K of cam0 has its middle at .*were they cropped or turned"),
     "padded at the top": (padded(30), r"with about (29|30|31) rows added at the top since, .*: were the images padded"),

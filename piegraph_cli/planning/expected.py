@@ -41,6 +41,9 @@ SCALED, ALIKE = 0.06, 0.02
 """Share by which a goal is larger or smaller in length and width from which that is said, and by how much these differ."""
 UNITS, TOO_LARGE = (("millimetres", 1000.0), ("centimetres", 100.0), ("inches", 39.37)), 20.0
 """What others write for metres, and how many times too large a thing is from which its numbers are no metres."""
+BESIDE, STAYS, SHUFFLED = 6, 2, 1.5
+"""Particles that lie beside another, how many of them stay so when layers part, and times farther that these are where they
+are others."""
 FOLDED = 1.65
 """Springs, as a multiple of those at rest, from which layers are joined that only lie on one another."""
 
@@ -123,6 +126,21 @@ def require_goal(
     if max(there.spacing / now.spacing, now.spacing / there.spacing) > UNLIKE[1]:
         text = f"the goal's particles lie {there.spacing * 100:.1f} cm apart, the object's {now.spacing * 100:.1f} cm"
         raise DataError(f"{text}: it is another object, or of another size", "the goal", "give a goal of this object")
+
+
+def require_order(particles: np.ndarray, others: np.ndarray, what: str) -> None:
+    """Raise `DataError` where `others` [N, 3] (m), called `what`, are not `particles` [N, 3] (m) in their order.
+
+    Whatever an object does, what lies side by side in one of its shapes does so in the other, but for layers that part.
+    """
+    if len(others) != len(particles) or len(others) <= BESIDE:
+        return
+    beside = cKDTree(others).query(others, k=BESIDE + 1)[1][:, 1:]
+    then, now = (np.linalg.norm(p[beside] - p[:, None], axis=2) for p in (others, particles))
+    times = float(np.median(np.sort(now / np.maximum(then, 1e-9), axis=1)[:, STAYS - 1]))
+    if times > SHUFFLED:
+        text = f"its particles are in another order: those side by side there are {times:.1f} times as far apart now"
+        raise DataError(text, what, "give the same particles in the same order, as a tracker follows them")
 
 
 def check_folds(particles: np.ndarray, trained: Trained, radius: float) -> list[str]:

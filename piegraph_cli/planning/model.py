@@ -10,6 +10,7 @@ from piegraph_cli.dynamics.models import Trained, make_predict
 from piegraph_cli.dynamics.stroke import Predict, Strokes
 from piegraph_cli.errors import DataError
 from piegraph_cli.params import validated
+from piegraph_cli.planning.expected import require_order
 from piegraph_cli.planning.params import PlanParams
 from piegraph_cli.planning.question import PARTICLES, Answer, answer, finite
 
@@ -51,6 +52,8 @@ class Model:
         if now.shape[1] < 2:
             raise DataError("one particle is no object", "positions", "give all particles of it")
         finite(now.reshape(-1, now.shape[-1]), "positions")
+        if rest is not None:
+            require_order(now[0], finite(rest, "rest"), "rest")
         predict = self.of_object(now[0] if rest is None else rest)
         return predict(torch.as_tensor(now), strokes.to(torch.float32)).numpy()
 

@@ -20,6 +20,7 @@ from piegraph_cli.planning.expected import (
     check_object,
     check_shape,
     require_level,
+    require_order,
 )
 from piegraph_cli.planning.goals import Goal, move_in_plane, thinned
 from piegraph_cli.planning.params import PlanParams
@@ -152,6 +153,8 @@ def wanted(
             )
         return Goal.at(_on_table(params.goal_at, params.table or (0, 0, 0)), trained.rest, cloud, particles)
     assert goal is not None
+    if corresponds:
+        require_order(cloud, goal, "goal")
     return Goal.of_particles(goal) if corresponds else Goal.of_cloud(goal, cloud, particles)
 
 
@@ -173,6 +176,8 @@ def chosen_particles(
     warnings, count = _above_table(cloud), trained.particles if trained else PARTICLES
     if rest is not None and np.shape(rest) != np.shape(cloud):
         raise DataError(f"{len(cloud)} particles, {len(rest)} at rest", "state", "give both of the same particles")
+    if rest is not None:
+        require_order(cloud, finite(rest, "rest"), "rest")
     if len(cloud) < count:
         raise DataError(f"{len(cloud)} points, the model needs {count} or more", "state", "give the whole cloud")
     few = thinned(cloud, STATE_POINTS)

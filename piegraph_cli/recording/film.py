@@ -35,6 +35,12 @@ class Film:
     numbers: np.ndarray
     """[image] what each is called by in the recording."""
 
+    def depth(self, k: int) -> tuple[np.ndarray, bytes | None]:
+        """As `Images.depth`, the largest number that its pixels hold being no reading: some programs write holes so."""
+        image, encoded = self.images.depth(k)
+        endless = image == np.iinfo(image.dtype).max
+        return (np.where(endless, 0, image).astype(image.dtype), None) if endless.any() else (image, encoded)
+
 
 @dataclass(frozen=True)
 class ImageFiles:

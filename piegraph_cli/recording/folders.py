@@ -15,6 +15,10 @@ BAGS = (".bag", ".db3", ".mcap")
 """Endings of ROS bags; a bag can be a sequence without a folder of its own."""
 COMPRESSED_BAGS = (*BAGS, ".zstd")
 """With those of a file that ROS 2 compressed as a whole."""
+PACKED = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst")
+"""Endings of archives."""
+LONGEST_NAME = 200
+"""Bytes of a sequence's name."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -26,6 +30,14 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
             str(recording),
             "get sample_data of the repository, then add --set ingest.recording=sample_data/tblock",
         )
+    if recording.is_file():
+        packed = recording.suffix.lower() in PACKED
+        hint = (
+            "unpack it, and give the folder that holds cameras.json"
+            if packed
+            else "give the folder that holds cameras.json"
+        )
+        raise DataError("is packed" if packed else "is a file, no recording folder", str(recording), hint)
     if not recording.is_dir():
         raise DataError("no such recording folder", str(recording), "give the folder that holds cameras.json")
     inside = [] if is_ros2_folder(recording) else entries_of(recording)
@@ -33,7 +45,7 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
     for name in _wanted(layout):
         sequences = [path for path in folders if fits(name, path)]
         if sequences:
-            return sequences
+            return _named(sequences)
     others = next((name for name in SIGNS if any(fits(name, path) for path in folders)), None)
     if others:
         message = f"no sequence found in the layout {layout}, but in the layout {others}"
@@ -41,11 +53,30 @@ def list_sequences(recording: Path, layout: str = "auto") -> list[Path]:
     if any(fits(name, recording) for name in _wanted(layout)):
         hint = f"give the folder above it: {recording.resolve().parent}"
         raise DataError("this is one sequence, not a recording of sequences", str(recording), hint)
+    holding = [folder for folder in folders if sequences_in(folder, layout)]
+    if holding:
+        message = f"no sequence found, but {len(holding)} recordings: {', '.join(f.name for f in holding[:3])}"
+        raise DataError(message, str(recording), f"--recording once for each, as in --recording {holding[0]}")
     raise DataError(
         "no sequence found" + (f" in the layout {layout}" if layout != "auto" else ""),
         str(recording),
         "expected SEQUENCE/CAMERA/color/000000.jpg below it, or a layout of `piegraph list layouts`",
     )
+
+
+def _named(sequences: list[Path]) -> list[Path]:
+    """The sequences. Raises `DataError` where the name of one is no text, or too long: files are called after it."""
+    for path in sequences:
+        try:
+            path.name.encode()
+        except UnicodeEncodeError:
+            shown = os.fsencode(path).decode("utf-8", "backslashreplace")
+            raise DataError("its name is no UTF-8 text", shown, "rename the folder") from None
+        if len(path.name.encode()) > LONGEST_NAME:
+            raise DataError(
+                "the name is too long for a sequence", str(path), f"rename it: at most {LONGEST_NAME} bytes"
+            )
+    return sequences
 
 
 def sequences_in(folder: Path, layout: str = "auto") -> list[str]:
@@ -107,7 +138,7 @@ def calibration_sequences(sequences: list[Path]) -> set[str]:
     found = set()
     for path in (sequences[0].parent / "cameras.json", *(s / "cameras.json" for s in sequences)):
         try:
-            noted = json.loads(path.read_text())["calibration_sequence"]
+            noted = json.loads(path.read_bytes())["calibration_sequence"]
             found |= set(noted if isinstance(noted, list) else [noted])
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             continue  # reading the sequence says what is wrong

@@ -13,7 +13,8 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.causes import Cause, Fault, fault_of, find_cause
 from piegraph_cli.recording.checks import Check, check_images, judged
 from piegraph_cli.recording.edges import find_flip, match_outlines, standing
-from piegraph_cli.recording.lenses import find_lens
+from piegraph_cli.recording.given import explained_by_entries
+from piegraph_cli.recording.lenses import along_rays, find_crop, find_lens, find_ranges, find_turned
 from piegraph_cli.recording.pairs import check_pairs
 from piegraph_cli.recording.planes import Plane, Rays, find_planes
 from piegraph_cli.recording.texture import check_texture, picture_of
@@ -99,7 +100,8 @@ def check_geometry(views: Sequence[View], workspace: np.ndarray, table: float = 
     right = [look for look in looks if look.table and look.camera.name not in wrong]
     pictures = [picture_of(look.camera, look.view.color[0], look.view.depth[0], workspace, table) for look in right]
     textures = check_texture([look.camera for look in right], pictures, workspace)
-    return checks + check_pairs([look.sights() for look in right], table) + textures
+    checks += [*check_pairs([look.sights() for look in right], table), *textures]
+    return explained_by_entries(checks, [view.camera for view in views])
 
 
 def _check_pose(camera: Camera) -> Check:
@@ -133,7 +135,7 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
     causes = {k: cause for k in bad if (cause := _by_edges(looks[k], faults[k], edges.get(looks[k].camera.name)))}
     left = [k for k in bad if k not in causes]
     while left:
-        cause = find_cause(
+        cause = _by_images(looks, left, table) or find_cause(
             [look.planes for look in looks],
             poses,
             [look.camera.depth_scale for look in looks],
@@ -145,8 +147,7 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
             _badness,
         )
         if not cause.tested:
-            intrinsics = [look.camera.K for look in looks]
-            cause = find_lens([look.planes for look in looks], poses, intrinsics, left, table, _badness) or cause
+            cause = _by_lens(looks, left, table) or cause
         causes |= dict.fromkeys(cause.cameras, cause)
         left = [k for k in left if k not in cause.cameras]
     checks = []
@@ -164,6 +165,30 @@ def _by_edges(look: _Look, fault: Fault | None, edges: Check | None) -> Cause | 
         return None
     most = 2 * edges.figure * fault.distance / look.camera.K[0, 0]
     return Cause(edges.cause, edges.remedy, ()) if abs(fault.offset) < most else None
+
+
+def _by_images(looks: Sequence[_Look], bad: Sequence[int], table: float) -> Cause | None:
+    """What was done to all of the images or the depth of the cameras `bad`, where that explains their tables."""
+    poses = [look.camera.T_world_camera for look in looks]
+    ranges = [find_planes(along_rays(look.points)) if k in bad else look.planes for k, look in enumerate(looks)]
+    planes, lenses, sizes = [look.planes for look in looks], *_lenses(looks)
+    return find_turned(planes, poses, lenses, sizes, bad, table, _badness) or find_ranges(
+        ranges, poses, bad, table, _badness
+    )
+
+
+def _by_lens(looks: Sequence[_Look], bad: Sequence[int], table: float) -> Cause | None:
+    """Another lens, or images that were resized or cropped, where that explains the tables of the cameras `bad`."""
+    planes, poses = [look.planes for look in looks], [look.camera.T_world_camera for look in looks]
+    lenses, sizes = _lenses(looks)
+    return find_lens(planes, poses, lenses, bad, table, _badness) or find_crop(
+        planes, poses, lenses, sizes, bad, table, _badness
+    )
+
+
+def _lenses(looks: Sequence[_Look]) -> tuple[list[np.ndarray], list[tuple[int, int]]]:
+    cameras = [look.camera for look in looks]
+    return [camera.K for camera in cameras], [(camera.width, camera.height) for camera in cameras]
 
 
 def _in_view(look: _Look, workspace: np.ndarray, table: float) -> float:

@@ -19,8 +19,9 @@ from piegraph_cli.files import atomic_file
 from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics, check_lens
 from piegraph_cli.recording.encoded import MOST_BYTES, MOST_PIXELS, decode_image
 from piegraph_cli.recording.folders import entries_of
+from piegraph_cli.recording.forms import FORMS
 from piegraph_cli.recording.numbers import Number, by_number
-from piegraph_cli.recording.text import read_numbers, read_text
+from piegraph_cli.recording.text import read_rows, read_text
 
 LAYOUT_VERSION = 1
 COEFFICIENTS = (4, 5, 8, 12, 14)
@@ -80,7 +81,10 @@ def read_cameras_file(path: Path) -> CamerasFile:
         problem = error.errors()[0]
         place = ".".join(str(p) for p in problem["loc"])
         message = f"{place}: {problem['msg']}" if place else problem["msg"]
-        raise DataError(message, str(path), "see docs/formats.md for the fields") from None
+        form = next(
+            (FORMS[part] for part in reversed(problem["loc"]) if part in FORMS), "see docs/formats.md for the fields"
+        )
+        raise DataError(message, str(path), form) from None
     if entries.version != LAYOUT_VERSION:
         message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
         raise DataError(message, str(path), "update piegraph")
@@ -148,7 +152,9 @@ def _matrix(values: list[list[float]], size: int, name: str, where: str) -> np.n
     except ValueError:
         raise DataError(f"{name} must be rectangular", where, "see docs/formats.md") from None
     if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-        raise DataError(f"{name} must be a finite {size} x {size} matrix", where, "see docs/formats.md")
+        raise DataError(
+            f"{name} must be a finite {size} x {size} matrix", where, FORMS.get(name, "see docs/formats.md")
+        )
     return matrix
 
 
@@ -173,6 +179,8 @@ def _transform(values: list[list[float]], name: str, where: str, hint: str) -> n
 
 def check_transform(T: np.ndarray, name: str, where: str, hint: str) -> np.ndarray:
     """A matrix [4, 4], if it is a rigid transform. Raises `DataError` where it is not."""
+    if np.allclose(T[:, 3], [0, 0, 0, 1]) and T[3, :3].any():
+        raise DataError(f"{name} is transposed: it has the translation in its last row", where, "write its transpose")
     if not np.allclose(T[3], [0, 0, 0, 1]):
         raise DataError(f"{name} must be a finite 4 x 4 rigid transform", where, hint)
     if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
@@ -187,7 +195,13 @@ def read_times(sequence: Path, camera: Camera) -> np.ndarray:
         raise DataError(
             f"camera {camera.name} is in cameras.json but has no folder", str(sequence), "add it or remove the camera"
         )
-    return read_numbers(path, "one time stamp in seconds per line")
+    rows = read_rows(path, "one time stamp in seconds per line")
+    if len(rows) > 1 and all(len(row) == len(rows[0][1]) > 1 for _, row in rows):
+        line = f"{path}, line {rows[0][0]}"
+        raise DataError(
+            f"has {len(rows[0][1])} numbers", line, "one time stamp in seconds per line, and nothing beside it"
+        )
+    return np.array([value for _, row in rows for value in row], float)
 
 
 def frame_files(sequence: Path, camera: Camera) -> list[tuple[Path, Path]]:

@@ -45,6 +45,8 @@ SLOWEST, LONGEST = 1e-3, 60.0
 """A hand slower than this (m/s) at steps of a second and more, or steps longer than this (s), are not in seconds."""
 HIGH = 0.05
 """Metres above z = 0 at which an object does not lie on the table."""
+FLAT = 5.0
+"""Times that an object is higher than it is wide in a direction that may be up."""
 LOST = "fill gaps of lost markers in, or leave these frames out"
 ANEW = "a particle keeps its index and is the same point throughout; a new file where tracking begins anew"
 
@@ -213,7 +215,9 @@ def _check_units(arrays: Mapping[str, np.ndarray], place: _Place) -> None:
     steps = np.diff(time)
     if (steps <= 0).any():
         frame = int((steps <= 0).argmax()) + 1
-        message = f"time goes from {time[frame - 1]:g} to {time[frame]:g} s"
+        message = f"time goes from {time[frame - 1]:.10g} to {time[frame]:.10g} s"
+        if (steps == 0).sum() > len(steps) / 5:
+            message += ": were times rounded, or written with single precision?"
         raise DataError(message, place(frame), "write rising times, a frame only once; a new file for each recording")
     usual, speeds = float(np.median(steps)), np.linalg.norm(np.diff(hand, axis=0), axis=1) / steps
     speed = float(np.nan_to_num(np.nanquantile([*speeds, 0.0] if np.isnan(speeds).all() else speeds, 0.95)))
@@ -275,8 +279,11 @@ def _completed(
     if low > HIGH:
         warnings.append(f"the object lies {low:.2g} m above z = 0: shift z so that the table is 0")
     y, z = np.ptp(positions.reshape(-1, 3), axis=0)[1:]
-    if z > HIGH and y < z / 5:
+    if z > HIGH and y < z / FLAT:
         warnings.append(f"the object moves {z:.2g} m in z and {y:.2g} m in y: is y up? z has to point up")
+    wide, _, high = np.ptp(positions[0], axis=0)
+    if high > HIGH and np.ptp(positions[..., 0]) < high / FLAT:
+        warnings.append(f"the object is {high:.2g} m high and {wide:.2g} m wide in x: is x up? z has to point up")
     visibility = np.asarray(arrays.get("visibility", np.ones(positions.shape[:2])), np.float32)
     time, contact = arrays["time"].astype(float), contact.astype(bool)
     warnings += find_doubts(positions, hand, time, contact)

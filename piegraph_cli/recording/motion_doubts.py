@@ -32,6 +32,14 @@ FAST = 3.0
 """Metres a second that no hand that pushes or picks goes."""
 
 
+HELD, FEWEST_HELD = 3, 5
+"""So many frames in which all particles repeat, between such in which they move, are held; so often it is told."""
+THROUGH = 0.08
+"""Metres that nothing goes along an object in touch with it that stays where it is to the last digit."""
+PARTED, PARTED_BY, KEPT = 1.5, 0.01, 2
+"""Times as far, and metres farther, that a particle is from all but so many of those beside it where it is lost."""
+
+
 def find_exchanged(positions: np.ndarray) -> tuple[int, list[int]] | None:
     """The first frame in which particles [T, N, 3] (m) take each other's places, and which do."""
     spacing = float(np.median(cKDTree(positions[0]).query(positions[0], k=2)[0][:, 1]))
@@ -86,7 +94,7 @@ def find_lost(points: np.ndarray) -> tuple[int, ...] | None:
 def find_doubts(positions: np.ndarray, hand: np.ndarray, time: np.ndarray, contact: np.ndarray) -> list[str]:
     """Warnings of particles [T, N, 3], end-effector [T, 3] (m, NaN where unknown), times [T] (s) and contact [T]."""
     found = [*_doubts_of_time(hand, time), *_doubts_of_motion(positions, contact)]
-    return found + ([] if found else _doubts_of_touch(positions, hand, time, contact))
+    return found or _doubts_of_touch(positions, hand, time, contact) or _doubts_of_tracking(positions, hand, contact)
 
 
 def _doubts_of_time(hand: np.ndarray, time: np.ndarray) -> list[str]:
@@ -123,6 +131,57 @@ def _doubts_of_motion(positions: np.ndarray, contact: np.ndarray) -> list[str]:
             "have end-effector and particles one clock and one frame of reference, and is contact right?"
         ]
     return []
+
+
+def _doubts_of_tracking(positions: np.ndarray, hand: np.ndarray, contact: np.ndarray) -> list[str]:
+    """Particles that are held or stop, all of them or some, while what touches them goes on."""
+    repeats = np.r_[False, (positions[1:] == positions[:-1]).all((1, 2))]
+    edges = [0, *(np.flatnonzero(np.diff(repeats.astype(int))) + 1), len(repeats)]
+    runs = [(first, end) for first, end in pairwise(edges) if repeats[first]]
+    held = [(first, end) for first, end in runs if end - first <= HELD and end < len(repeats)]
+    if len(held) >= FEWEST_HELD and 2 * len(held) >= len(runs):
+        count = sum(end - first for first, end in held)
+        return [
+            f"all particles repeat those of the frame before in {count} frames between others in which they move: were they "
+            "tracked at a lower rate?\n  try: leave out frames without particles of their own"
+        ]
+    far, first, end = max((_along(hand, contact, *run) for run in runs), default=(0.0, 0, 0))
+    if far > THROUGH:
+        return [
+            f"the particles stay to the last digit from frame {first - 1} to {end - 1}, while the end-effector goes "
+            f"{far:.2g} m in contact: did tracking stop?\n  try: leave these frames out"
+        ]
+    stuck = find_parted(positions)
+    if not stuck:
+        return []
+    frame, which = stuck
+    named = ", ".join(map(str, which[:5])) + (" and more" if len(which) > 5 else "")
+    return [
+        f"in frame {frame} particles are away from all those beside them: {named}: were they lost?\n  try: leave them, or "
+        "these frames, out"
+    ]
+
+
+def _along(hand: np.ndarray, contact: np.ndarray, first: int, end: int) -> tuple[float, int, int]:
+    """The longest way (m) that a hand [T, 3] goes in one contact from frame `first` to before `end`, and these frames."""
+    touching = np.flatnonzero(contact[first:end] & np.isfinite(hand[first:end]).all(1)) + first
+    parts = np.split(touching, np.flatnonzero(np.diff(touching) > 1) + 1)
+    return max((float(np.linalg.norm(hand[p[-1]] - hand[p[0]])) for p in parts if len(p)), default=0.0), first, end
+
+
+def find_parted(positions: np.ndarray) -> tuple[int, list[int]] | None:
+    """The last frame in which particles [T, N, 3] (m) have left those that lay beside them, all but two, and which have.
+
+    Layers of a fold that part keep neighbours in their own layer.
+    """
+    count = positions.shape[1]
+    if count <= NEIGHBOURS:
+        return None
+    near = cKDTree(positions[0]).query(positions[0], k=NEIGHBOURS + 1)[1][:, 1:]
+    first, last = (np.linalg.norm(p[near] - p[:, None], axis=2) for p in (positions[0], positions[-1]))
+    kept = ((last < PARTED * first) | (last < first + PARTED_BY)).sum(1)
+    parted = np.flatnonzero(kept <= KEPT)
+    return (len(positions) - 1, [int(k) for k in parted]) if 0 < len(parted) < count / 2 else None
 
 
 def _doubts_of_touch(positions: np.ndarray, hand: np.ndarray, time: np.ndarray, contact: np.ndarray) -> list[str]:

@@ -36,6 +36,10 @@ pixels."""
 PER_FRAME = ("time", "mode", "contact", "end_effector", "residual", "visibility")
 PER_POINT = ("colors", "normals")
 """Arrays beside the points of an .npz whose length must agree with them."""
+OF_POINTS = ("points", "particles", "positions", "vertices", "cloud", "xyz")
+"""What the array of an .npz that holds points is called."""
+NO_POINTS = (*PER_FRAME, *PER_POINT, "color", "colours", "rgb", "normal", "faces", "triangles", "offsets")
+"""And what arrays are called that are none, whatever their shapes."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class Clouds:
         return self.points[low:high]
 
 
+NAME_THEM = "name the array of the points: FILE:KEY"
+
 Frames = list[np.ndarray] | np.ndarray | Clouds
 Reader = Callable[[Path], Frames]
 
@@ -60,9 +66,9 @@ Reader = Callable[[Path], Frames]
 def read_points(path: Path, frame: int | None, more: Mapping[str, Reader], key: str | None = None) -> np.ndarray:
     """Points [P, 3] float32 (m, world) of a .ply or .npz file, or of a kind that a reader in `more` knows by its suffix.
 
-    Of several frames the given one, else the last; of an .npz the array called `key`, else the first. Raises `DataError`
-    for what is no regular file, is cut off, holds more
-    than its header says, contradicts itself, or has no points or points that are not finite.
+    Of several frames the given one, else the last; of an .npz the array called `key`, else the one that can be points.
+    Raises `DataError` for what is no regular file, is cut off, holds more than its header says, contradicts itself, or has
+    no points, none that are finite, or several arrays of which each may be meant.
     """
     readers: dict[str, Reader] = {".ply": _vertices, ".npz": lambda file: _read_npz(file, key), **more}
     names = ", ".join(readers)
@@ -146,22 +152,17 @@ def _vertices(path: Path) -> Frames:
 
 
 def _read_npz(path: Path, key: str | None = None) -> Frames:
-    """An array of an .npz file, the first by default: [P, 3], with integer `offsets` [F + 1] several clouds, or [F, P, 3]."""
+    """An array of an .npz file: [P, 3], with integer `offsets` [F + 1] several clouds, or [F, P, 3]."""
     check_size(path)
     try:
         with zipfile.ZipFile(path) as file:
             arrays = _npz_headers(file, path)
-            name = next(iter(arrays)) if key is None else key
+            name = _chosen(arrays, path) if key is None else key
             if name not in arrays:
                 raise DataError(f"has no array {name}", str(path), f"it has {', '.join(list(arrays)[:8])}")
-            shape, kind = arrays[name].shape, arrays[name].dtype.kind
-            if kind not in "fiu" or arrays[name].dtype == np.uint8 or len(shape) not in (2, 3) or shape[-1] != 3:
-                which = "first array," if key is None else "array"
-                message = (
-                    f"its {which} {name}{',' if key is None else ''} is {arrays[name].dtype} {list(shape)}, not points"
-                )
-                hint = "write the points as the first array, or name theirs: FILE:KEY"
-                raise DataError(f"{message} [P, 3] or [F, P, 3]", str(path), hint)
+            if not arrays[name].may_be_points:
+                message = f"its array {name} is {arrays[name].dtype} {list(arrays[name].shape)}, not points"
+                raise DataError(f"{message} [P, 3] or [F, P, 3]", str(path), NAME_THEM)
             points = _npz_array(file, name)
             offsets = _npz_array(file, "offsets") if "offsets" in arrays else None
     except DataError:
@@ -181,6 +182,25 @@ class _Array:
 
     shape: tuple[int, ...]
     dtype: np.dtype
+
+    @property
+    def may_be_points(self) -> bool:
+        numbers = self.dtype.kind in "fiu" and self.dtype != np.uint8
+        return numbers and len(self.shape) in (2, 3) and self.shape[-1] == 3
+
+
+def _chosen(arrays: Mapping[str, _Array], path: Path) -> str:
+    """The name of the array that holds the points: the only one that can, or else the one that is called so.
+
+    Raises `DataError` where several can and none, or more than one, is called so: colours, normals and matrices have the
+    shape of points too.
+    """
+    able = [name for name, array in arrays.items() if array.may_be_points and name.lower() not in NO_POINTS]
+    called = [name for name in able if name.lower() in OF_POINTS]
+    if len(able) > 1 and len(called) != 1:
+        message = f"which of its arrays are the points: {', '.join(able[:8])}?"
+        raise DataError(message, str(path), NAME_THEM)
+    return (called or able or list(arrays))[0]
 
 
 def _npz_headers(file: zipfile.ZipFile, path: Path) -> dict[str, _Array]:

@@ -139,7 +139,7 @@ def _read_images(
                 masks.append(b"")
                 continue
             color.append(film.images.color(k))
-            image, encoded = film.images.depth(k)
+            image, encoded = film.depth(k)
             if film.camera.depth_view is not None:
                 image, encoded = register_depth(image, film.camera), None
             depth.append(encoded or encode_depth(image))
@@ -164,7 +164,7 @@ def _check_byte_order(folder: Path, films: list[Film], first: list[int]) -> None
         return float(steps.mean()) if len(steps) else 0.0
 
     for film, k in zip(films, first, strict=True):
-        image = film.images.depth(k)[0]
+        image = film.depth(k)[0]
         if roughness(image.byteswap()) * SMOOTHER < roughness(image):
             message = f"the two bytes of depth are exchanged (big-endian), frame {film.numbers[k]}"
             raise DataError(

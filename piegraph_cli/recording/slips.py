@@ -75,7 +75,7 @@ UPS = (
         lambda T: _turned(T, np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
     ),
 )
-DEPTHS = (AS_IS, *(Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0)))
+DEPTHS = (AS_IS, *(Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000.0, 0.1, 10.0, 0.2, 5.0, 1e-6)))
 _Y_BACK, _Y_Z = np.diag([1.0, -1, 1, 1]), np.eye(4)[[0, 2, 1, 3]]
 _LINK = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """The axes of an image, x right and y down, in those of a body that looks along its x with z up."""

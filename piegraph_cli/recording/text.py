@@ -1,5 +1,7 @@
 """Text files of others, and the numbers in them: read here alone, with bounds, and the number of the line in messages."""
 
+import codecs
+import io
 import math
 import os
 import re
@@ -17,7 +19,10 @@ _NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf|i
 
 
 def read_text(path: Path, hint: str) -> str:
-    """The text of a regular file in UTF-8. Raises `DataError` for pipes, devices, files too large, and what is no text."""
+    """The text of a regular file in UTF-8, or in UTF-16 where it says so itself.
+
+    Raises `DataError` for pipes, devices, files too large, and what is no text.
+    """
     try:
         if not path.is_file():
             if not os.path.lexists(path):
@@ -25,8 +30,10 @@ def read_text(path: Path, hint: str) -> str:
             raise DataError("cannot be read: no regular file", str(path), hint)
         if path.stat().st_size > MOST_BYTES:
             raise DataError(f"has more than {MOST_BYTES} bytes", str(path), hint)
-        return path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        data = path.read_bytes()
+        wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        return io.TextIOWrapper(io.BytesIO(data), "utf-16" if wide else "utf-8-sig").read()
+    except (OSError, UnicodeError) as error:
         raise DataError(f"cannot be read: {error}", str(path), hint) from None
 
 
@@ -34,7 +41,8 @@ def parse_number(word: str, bounded: bool = True) -> float:
     """A number; with `bounded` False also nan, inf and those that are too large. Raises `ValueError` that says why not."""
     text = word.strip()
     if not _NUMBER.fullmatch(text):
-        raise ValueError(f"{_short(text)} is no number")
+        comma = ": its decimal comma has to be a point" if _NUMBER.fullmatch(text.replace(",", ".")) else ""
+        raise ValueError(f"{_short(text)} is no number{comma}")
     value = float(text)
     if not bounded:
         return value

@@ -19,6 +19,8 @@ LONGEST = 86_400.0
 """Seconds that a sequence lasts at most."""
 LATEST = 1e11
 """Seconds that no clock shows."""
+LEAST_REPEATED, REPEATED = 3, 0.2
+"""Time stamps, and a share of them, that repeat the one before from which they were rounded."""
 MANY = 10
 FEWEST = 0.5
 """Share of the frames that must have a partner in every camera."""
@@ -36,6 +38,11 @@ def check_times(times: np.ndarray, where: str, item: str = "line", first: int = 
         )
     steps = np.diff(times)
     back = np.flatnonzero(steps <= 0)
+    if (steps == 0).sum() >= max(LEAST_REPEATED, REPEATED * len(steps)) and steps.min() >= 0:
+        message = f"{(steps == 0).sum()} of {len(times)} time stamps repeat the one before: were they rounded?"
+        raise DataError(
+            message, where, "write seconds with three decimals or more; times since 1970 need double precision"
+        )
     if len(back):
         raise DataError(
             f"time stamps must increase: {item} {back[0] + 1 + first} does not",

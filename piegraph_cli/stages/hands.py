@@ -28,6 +28,10 @@ ASKED = 8
 """Frames of a camera that hardly sees a hand in which its colours are exchanged."""
 BLUE = "red and blue are exchanged: a hand is seen once they are put back"
 WRITE_RGB = "write the colour images again with their channels in order: cv2.imwrite takes BGR"
+GREY = 8
+"""By how much (of 255) red, green and blue of nearly all pixels differ at most where an image has no colours."""
+NO_COLOR = "the colour images are grey: hands and objects are found by their colours"
+WITH_COLOR = "record colour, not infrared; or --source glove, stick or file"
 BOTH_MOVE = 0.06
 """How far (m) both of two hands must go for the user to be warned."""
 
@@ -54,11 +58,10 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     counted = context.counting(len(cameras) * len(time), "images")
     landmarks = np.stack([detect_hands(counted(of), time, model, hands)[0] for of in images], axis=1)
     rates = np.isfinite(landmarks).any((2, 3, 4)).mean(0)
-    blue = ", ".join(
-        c.name for c, of, r in zip(cameras, images, rates, strict=True) if r < POOR and _exchanged(of, model)
-    )
+    poor = [(c.name, of) for c, of, rate in zip(cameras, images, rates, strict=True) if rate < POOR]
+    odd = _odd_colors(poor, model)
     if not rates.any():
-        raise DataError(BLUE, f"{frames.path}, {blue}", WRITE_RGB) if blue else no_hand(frames, params)
+        raise DataError(odd[0][1], f"{frames.path}, {odd[0][0]}", odd[0][2]) if odd else no_hand(frames, params)
     each = separate_hands(landmarks, depth.depth, cameras) if hands == 2 else landmarks[None, :, :, 0]
     tracks = [lift_hands(one, depth.depth, cameras, time, max_gap=params.max_gap) for one in each]
     ways = [travel(end_effector(track.keypoints)) for track in tracks]
@@ -66,10 +69,18 @@ def run(inputs: dict[str, Any], params: HandsParams, context: Context) -> Output
     arrays = {"landmarks": hand.pixels, "seen": hand.seen, "keypoints": hand.keypoints}
     arrays |= {"end_effector": end_effector(hand.keypoints), "observed": hand.observed, "time": time}
     quality, warnings = _told([c.name for c in cameras], hand, ways)
-    warnings += [f"{blue}: {BLUE}\n  try: {WRITE_RGB}"] if blue else []
+    warnings += [f"{names}: {text}\n  try: {hint}" for names, text, hint in odd]
     if params.source == "auto" and hand.observed.mean() < POOR:
         warnings += completed(arrays, frames, params)
     return Output(arrays, quality, warnings)
+
+
+def _odd_colors(poor: "list[tuple[str, CameraImages]]", model: "Path") -> list[tuple[str, str, str]]:
+    """What is wrong with the colours of cameras that hardly see a hand: their names, what it is, and what to do."""
+    blue = ", ".join(name for name, images in poor if _exchanged(images, model))
+    grey = ", ".join(name for name, images in poor if _is_grey(images))
+    found = [(blue, BLUE, WRITE_RGB), (grey, NO_COLOR, WITH_COLOR)]
+    return [one for one in found if one[0]]
 
 
 def _exchanged(images: "CameraImages", model: "Path") -> bool:
@@ -85,6 +96,14 @@ def _exchanged(images: "CameraImages", model: "Path") -> bool:
         for of in (looks, [np.ascontiguousarray(image[..., ::-1]) for image in looks])
     )
     return other >= ASKED // 2 and other > 2 * as_is
+
+
+def _is_grey(images: "CameraImages") -> bool:
+    """Whether a camera's images have no colours."""
+    import numpy as np
+
+    looks = [images[frame][::4, ::4].astype(int) for frame in {0, len(images) // 2}]
+    return all(float(np.quantile(np.ptp(image, axis=-1), 0.999)) <= GREY for image in looks)
 
 
 def _told(names: list[str], hand: "HandTrack", ways: list[float]) -> tuple[str, list[str]]:

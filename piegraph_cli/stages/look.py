@@ -156,5 +156,5 @@ def _image_at(film: Film, time: float, folder: Path) -> int:
 def _read(film: Film, image: int) -> tuple[np.ndarray, np.ndarray]:
     """Colour and depth of one image, depth registered to colour."""
     color = decode_color(np.frombuffer(film.images.color(image), np.uint8))
-    depth = film.images.depth(image)[0]
+    depth = film.depth(image)[0]
     return color, depth if film.camera.depth_view is None else register_depth(depth, film.camera)

@@ -218,7 +218,7 @@ def test_a_goal_may_be_an_array_by_key_or_a_pose_in_the_world_and_boxes_are_kept
     missing = piegraph(*ask, "--state", f"{of_file}then", "--goal-pose", "0.1,0,0", check=3)
     assert "has no array then\n  try: it has note, now, goal, a/b:c" in missing.stderr
     first = piegraph(*ask, "--state", tmp_path / "all.npz", "--goal-pose", "0.1,0,0", check=3)
-    assert "name theirs: FILE:KEY" in first.stderr
+    assert "which of its arrays are the points: now, goal, a/b:c" in first.stderr
     turned = piegraph(*ask, "--state", f"{of_file}now", "--goal-at", "0.1,0,90", check=2)
     assert "90 degrees are 1.571" in turned.stderr
     world = piegraph(*ask, "--state", f"{of_file}now", "--goal-at", "0.1,0.05,0.5").stdout

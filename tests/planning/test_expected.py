@@ -9,10 +9,11 @@ import torch
 
 from piegraph_cli import environments
 from piegraph_cli.dynamics.models import Trained
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.particles import Sizes, _rectangle, choose_particles
 from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
-from piegraph_cli.planning.expected import check_against, check_folds, check_object, require_level
+from piegraph_cli.planning.expected import check_against, check_folds, check_object, require_level, require_order
 from piegraph_cli.planning.goals import Goal, move_in_plane
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
@@ -221,3 +222,25 @@ def test_a_goal_of_another_scale_or_height_is_said():
         assert f"it lies 10 mm {'above' if lift > 0 else 'below'} the table" in said
     bending, _, (rope, bent, *_) = seen("rope-bendy")
     assert check_against(bent, rope, 50, bending) == []
+
+
+@pytest.mark.parametrize(
+    "order", [np.arange(50)[::-1], np.random.default_rng(0).permutation(50), np.roll(range(50), 7)]
+)
+def test_particles_in_another_order_are_refused(order):
+    rng = np.random.default_rng(1)
+    there = rng.permutation(np.stack(np.meshgrid(np.arange(10), np.arange(5), [1]), -1).reshape(-1, 3) * 0.02)
+    turned = there @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]) + [0.1, 0, 0]
+    folded = np.abs(there - [0.09, 0, 0])
+    for now in (turned, folded, there + rng.normal(0, 0.005, there.shape)):
+        require_order(now, there, "rest")
+        require_order(there, now, "rest")
+    with pytest.raises(DataError, match="rest: its particles are in another order"):
+        require_order(turned, there[order], "rest")
+    model = Model("static", None, PlanParams(model="static"))
+    strokes = Strokes.of([[-0.2, 0.0]], [[-0.1, 0.0]], 0)
+    assert model.predict(turned, strokes, rest=there).shape == (1, 50, 3)
+    with pytest.raises(DataError, match="in another order"):
+        model.predict(turned, strokes, rest=there[order])
+    with pytest.raises(DataError, match="goal: its particles are in another order"):
+        model.plan(turned, goal=turned[order] + [0.05, 0, 0], corresponds=True)

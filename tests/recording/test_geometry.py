@@ -263,6 +263,103 @@ def test_intrinsics_of_images_before_they_were_resized_are_named(factor):
     assert near == [pytest.approx(1 / factor, abs=0.03)], found
 
 
+def cropped(left, top):
+    """Images of which so many pixels were cut off, beside the K of before."""
+
+    def spoilt(view):
+        size = {"width": view.camera.width - left, "height": view.camera.height - top}
+        images = {name: [image[top:, left:] for image in getattr(view, name)] for name in ("depth", "color")}
+        return replace(view, camera=replace(view.camera, **size), **images)
+
+    return lambda views: [spoilt(view) for view in views]
+
+
+def padded(rows):
+    """Images below rows without colour and depth, beside the K of before."""
+
+    def spoilt(view):
+        images = {
+            name: [np.concatenate([0 * image[:rows], image]) for image in getattr(view, name)]
+            for name in ("depth", "color")
+        }
+        return replace(view, camera=replace(view.camera, height=view.camera.height + rows), **images)
+
+    return lambda views: [spoilt(view) for view in views]
+
+
+def turned_images(turns):
+    def spoilt(view):
+        size = {"width": view.camera.height, "height": view.camera.width}
+        images = {
+            name: [np.ascontiguousarray(np.rot90(image, turns)) for image in getattr(view, name)]
+            for name in ("depth", "color")
+        }
+        return replace(view, camera=replace(view.camera, **size), **images)
+
+    return lambda views: [spoilt(view) for view in views]
+
+
+def along_rays(views):
+    """Depth as the distance along each pixel's ray."""
+
+    def spoilt(view):
+        rows, columns = np.indices(view.depth[0].shape)
+        rays = view.camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
+        longer = np.linalg.norm(rays, axis=1).reshape(rows.shape)
+        return replace(view, depth=[np.rint(image * longer).astype(np.uint16) for image in view.depth])
+
+    return [spoilt(view) for view in views]
+
+
+def exchanged_middle(views):
+    def K_of(camera):
+        K = camera.K.copy()
+        K[:2, 2] = K[1::-1, 2]
+        return K
+
+    return [replace(view, camera=replace(view.camera, K=K_of(view.camera))) for view in views]
+
+
+IMAGES = {
+    "cropped at the top": (
+        cropped(0, 30),
+        r"with about (29|30|31) rows cut off at the top since, .*: were the images cropped",
+    ),
+    "cropped at both": (cropped(40, 24), r"with about (23|24|25) rows cut off at the top"),
+    "cropped at the left": (cropped(60, 0), r"K of cam0 has its middle at .*were they cropped or turned"),
+    "padded at the top": (padded(30), r"with about (29|30|31) rows added at the top since, .*: were the images padded"),
+    "turned clockwise": (turned_images(-1), "turning the images back, by a quarter counterclockwise, puts the table"),
+    "turned counterclockwise": (turned_images(1), "turning the images back, by a quarter clockwise, puts the table"),
+    "cx and cy exchanged": (exchanged_middle, "exchanging cx and cy of K puts the table"),
+    "along the rays": (along_rays, "the distance along each pixel's ray puts the table"),
+}
+
+
+@pytest.mark.parametrize("source", [boxes_on_a_table, sample])
+@pytest.mark.parametrize("trouble", IMAGES)
+def test_what_was_done_to_images_after_calibration_is_named(trouble, source):
+    spoil, cause = IMAGES[trouble]
+    found = told(spoil(source()))
+    assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+@pytest.mark.parametrize("trouble", ["turned clockwise", "cx and cy exchanged", "along the rays"])
+def test_one_camera_is_enough_for_what_has_no_degree(trouble):
+    spoil, cause = IMAGES[trouble]
+    found = told(spoil(boxes_on_a_table()[1:2]))
+    assert any(verdict == "bad" and re.search(cause, text) for verdict, text in found), found
+
+
+@pytest.mark.parametrize("chosen", [(0, 2), (0, 1, 2, 3)])
+def test_cameras_that_share_a_pose_are_named(chosen):
+    views = [sample()[k] for k in chosen]
+    found = told(with_poses(views, lambda k, T: views[0].camera.T_world_camera if k == 1 else T))
+    named = f"cam0 and cam{chosen[1]} have the same T_world_camera"
+    assert any(verdict == "bad" and named in text for verdict, text in found), found
+    found = told(with_poses(views, lambda k, T: np.eye(4)))
+    assert any(verdict == "bad" and "have the same T_world_camera" in text for verdict, text in found), found
+
+
 def test_depth_of_any_unit_is_told_by_several_cameras():
     found = told(scales(1 / 256)(boxes_on_a_table()))
     assert [verdict for verdict, _ in found] == ["bad"]

@@ -314,7 +314,7 @@ def test_arrays_of_npz_files_read_back_equal(tmp_path, save):
         ({"positions": FRAMES, "visibility": np.ones((3, 5))}, "array visibility"),
         ({"points": POINTS, "offsets": [0, 10, 60], "time": [0.0]}, "array time"),
         ({"points": POINTS, "colors": np.zeros((59, 3))}, "array colors"),
-        ({"time": [0.0, 0.1], "positions": FRAMES}, "its first array, time, is float64"),
+        ({"time": [0.0, 0.1]}, r"its array time is float64 \[2\], not points"),
         ({"points": POINTS[:, :2]}, "not points"),
         ({"points": POINTS + 0j}, "not points"),
         ({"points": POINTS.astype("U8")}, "not points"),
@@ -394,6 +394,37 @@ def test_an_array_of_an_npz_may_be_named(tmp_path):
     for key, message in (("name", r"its array name is float64 \[3\], not points"), ("none", "has no array none")):
         with pytest.raises(DataError, match=message):
             read_points(path, None, {}, key)
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        {"colors": np.random.default_rng(0).random((5, 3)), "points": FRAMES[0]},
+        {"normals": np.ones((5, 3)), "xyz": FRAMES[0]},
+        {"faces": np.zeros((9, 3), np.int32), "Vertices": FRAMES[0]},
+        {"R": np.eye(3), "cloud": FRAMES[0]},
+        {"time": np.zeros(2), "anything": FRAMES[0]},
+        {"rgb": np.zeros((5, 3)), "anything": FRAMES[0]},
+    ],
+)
+def test_of_several_arrays_the_points_are_read(tmp_path, beside):
+    np.savez(tmp_path / "all.npz", **beside)
+    np.testing.assert_array_equal(read_points(tmp_path / "all.npz", None, {}), FRAMES[0])
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"R": np.eye(3), "goal": FRAMES[0]},
+        {"arr_0": FRAMES[0], "arr_1": FRAMES[1]},
+        {"points": FRAMES[0], "vertices": FRAMES[1]},
+    ],
+)
+def test_which_of_several_arrays_is_meant_is_asked(tmp_path, arrays):
+    np.savez(tmp_path / "all.npz", **arrays)
+    with pytest.raises(DataError, match=f"which of its arrays are the points: {', '.join(arrays)}") as told:
+        read_points(tmp_path / "all.npz", None, {})
+    assert "FILE:KEY" in str(told.value)
 
 
 def test_pixels_without_depth_and_what_git_lfs_left_are_told(tmp_path, caplog):

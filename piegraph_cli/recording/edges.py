@@ -8,7 +8,7 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.planes import Plane, Rays
 
 STANDS_OUT = 0.012
-"""What is higher above the table than this share of its depth stands on it; flying pixels do not reach it, noise seldom does."""
+"""What is higher above the table than this share of its depth stands on it; flying pixels do not reach it, noise seldom."""
 TALLEST = 0.4
 """Higher above the table (m) is no longer the scene."""
 REACH = 0.08

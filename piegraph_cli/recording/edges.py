@@ -19,8 +19,8 @@ PIECE, SPECKS = 5e-4, 3
 """A piece counts that is larger than this share of the image, and than so many times the largest speck of noise."""
 CLEAR = 3.0
 """A match counts if it stands this many deviations above chance."""
-FOUND = 0.7
-"""Of an outline, on edges of colour as strong as any: what is not found so far is none of colour's, but a fold's, of one colour."""
+MORE = 0.18
+"""Of the outline that has to lie on edges there and not here: of a fold, which has one colour, little does anywhere."""
 
 FLIPS = {
     "mirrored, left for right,": (slice(None), slice(None, None, -1)),
@@ -103,11 +103,11 @@ def match_outlines(masks: list[np.ndarray], colors: list[np.ndarray]) -> Shift |
     row, column = np.unravel_index(int(fit.argmax()), fit.shape)
     middle = float(np.median(fit))
     deviation = 1.48 * float(np.median(np.abs(fit - middle)))
-    if fit.max() < max(middle + CLEAR * max(deviation, 1e-6), FOUND):
+    if fit.max() < middle + CLEAR * max(deviation, 1e-6):
         return None
     # noise moves the top of a broad hill by a pixel or two, which says nothing
     gain = float((fit.max() - middle) / max(fit[reach, reach] - middle, 0.1 * (fit.max() - middle)))
-    return Shift(int(column) - reach, int(row) - reach, gain)
+    return Shift(int(column) - reach, int(row) - reach, gain if fit.max() - fit[reach, reach] > MORE else 1.0)
 
 
 def find_flip(masks: list[np.ndarray], colors: list[np.ndarray]) -> str | None:

@@ -19,8 +19,6 @@ PIECE, SPECKS = 5e-4, 3
 """A piece counts that is larger than this share of the image, and than so many times the largest speck of noise."""
 CLEAR = 3.0
 """A match counts if it stands this many deviations above chance."""
-MORE = 0.18
-"""Of the outline that has to lie on edges there and not here: of a fold, which has one colour, little does anywhere."""
 
 FLIPS = {
     "mirrored, left for right,": (slice(None), slice(None, None, -1)),
@@ -42,6 +40,8 @@ class Shift:
     """Pixels down."""
     gain: float
     """How much better the edges fit there than without a shift."""
+    more: float
+    """Share of the outline that lies on edges there, beyond the share that does without a shift."""
 
 
 def standing(depth: np.ndarray, camera: Camera, rays: Rays, table: Plane) -> np.ndarray:
@@ -107,7 +107,7 @@ def match_outlines(masks: list[np.ndarray], colors: list[np.ndarray]) -> Shift |
         return None
     # noise moves the top of a broad hill by a pixel or two, which says nothing
     gain = float((fit.max() - middle) / max(fit[reach, reach] - middle, 0.1 * (fit.max() - middle)))
-    return Shift(int(column) - reach, int(row) - reach, gain if fit.max() - fit[reach, reach] > MORE else 1.0)
+    return Shift(int(column) - reach, int(row) - reach, gain, float(fit.max() - fit[reach, reach]))
 
 
 def find_flip(masks: list[np.ndarray], colors: list[np.ndarray]) -> str | None:

@@ -19,6 +19,7 @@ from piegraph_cli.environments.sight import Sight
 from piegraph_cli.errors import UsageError
 from piegraph_cli.perception.judgement import JUDGED
 from piegraph_cli.perception.look import Look, LookSettings
+from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.episode import Episode, draw_task, tool_of, within
 from piegraph_cli.planning.expected import require_goal
 from piegraph_cli.planning.experience import Tried
@@ -35,6 +36,8 @@ from piegraph_cli.recording.params import CheckName, ReadParams
 
 SURE = 0.9
 """Of the distance that counts as success: what is seen below so much of it is truly there, for looks are a little off."""
+CLOUDS = 500
+"""Points of each of two clouds that are compared."""
 ARM_GAP = 0.01
 """Metres below the tool where it waits from which on what is seen is taken for the arm."""
 
@@ -122,12 +125,21 @@ class _Loop:
         return replace(found, true=tuple(self.true), copies=copies, said=(*self.eyes.said, *why))
 
     def cost(self, positions: torch.Tensor) -> torch.Tensor:
-        """The distance of positions [B, N, 3] (m) from the goal, by the last look: [B]; NaN of those that nobody has seen."""
-        return self._cost(positions) if torch.isfinite(positions).all() else positions[:, 0, 0] * torch.nan
+        """The distance of positions [B, N, 3] (m) from the goal, by the last look: [B]; NaN of those that nobody has seen.
+
+        Of what was looked at, its clouds' too: a fold hides from particles that were chosen in it.
+        """
+        if not torch.isfinite(positions).all():
+            return positions[:, 0, 0] * torch.nan
+        found = self._cost(positions)
+        if self.apart is None or not np.array_equal(positions.numpy(), self.positions[None]):
+            return found
+        return torch.full_like(found, self.apart) if self.goal.particles is None else found.clamp_min(self.apart)
 
     def _take(self, seen: Look, particles: np.ndarray) -> None:
         """Go on from a look: the goal's places, the cost and the planner of these particles [N, 3] (m)."""
         self.seen, self.positions = seen, particles.astype(np.float32)
+        self.apart = self._clouds_apart()
         self.goal, params = self._goal(), self.params
         if params.cost == "distance" and self.goal.particles is None:  # bent otherwise than the goal, for now
             params = params.model_copy(update={"cost": "auto"})
@@ -142,8 +154,28 @@ class _Loop:
         places = places_along(self.line, self.seen.cloud, self.positions)
         if places is not None:
             return Goal(self.there, places)
+        goal = Goal.of_cloud(self.there, self.seen.cloud, self.positions, self._rigid)
+        limit = SURE * self.params.success
+        if goal.particles is None or self.apart is None or self.apart < limit:
+            return goal
+        off = float(np.linalg.norm(goal.particles - self.positions, axis=-1).mean(-1).min())
+        return Goal(self.there) if off < limit else goal  # in its place, and not in its shape: folded
+
+    @property
+    def _rigid(self) -> bool:
+        """Whether the object is known never to bend."""
         sizes = self.eyes.settings.sizes
-        return Goal.of_cloud(self.there, self.seen.cloud, self.positions, sizes is not None and not sizes.bends)
+        return sizes is not None and not sizes.bends
+
+    def _clouds_apart(self) -> float | None:
+        """Earth mover's distance (m) of the cloud seen last and the goal's. None where other costs are asked for, of what
+        never bends, and of one camera, which sees other parts of an object here than there.
+        """
+        if self.params.cost not in ("auto", "distance") or self._rigid or len(self.sight.told) == 1:
+            return None
+        count = min(CLOUDS, len(self.seen.cloud), len(self.there))
+        now, there = (torch.as_tensor(thinned(cloud, count)).float() for cloud in (self.seen.cloud, self.there))
+        return float(make_cost("emd", there, count)(now[None])[0])
 
     def _plan(self, positions: torch.Tensor, tried: Sequence[Tried]) -> Plan | None:
         self.expected = self._search(positions, tried)

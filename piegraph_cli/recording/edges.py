@@ -8,16 +8,17 @@ from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.planes import Plane, Rays
 
 STANDS_OUT = 0.012
-"""What is higher above the table than this share of its depth stands on it; noise and flying pixels do not reach it."""
+"""What is higher above the table than this share of its depth stands on it; flying pixels do not reach it, noise seldom."""
 TALLEST = 0.4
 """Higher above the table (m) is no longer the scene."""
 REACH = 0.08
 """Shifts up to this share of the width are tried."""
 FEWEST = 60
 """Pixels of outline that are needed to match it."""
+PIECE, SPECKS = 5e-4, 3
+"""A piece counts that is larger than this share of the image, and than so many times the largest speck of noise."""
 CLEAR = 3.0
 """A match counts if it stands this many deviations above chance."""
-
 
 FLIPS = {
     "mirrored, left for right,": (slice(None), slice(None, None, -1)),
@@ -39,19 +40,34 @@ class Shift:
     """Pixels down."""
     gain: float
     """How much better the edges fit there than without a shift."""
+    more: float
+    """Share of the outline that lies on edges there, beyond the share that does without a shift."""
 
 
 def standing(depth: np.ndarray, camera: Camera, rays: Rays, table: Plane) -> np.ndarray:
-    """Mask [H, W] of the readings of a depth image (in the camera's units) that lie above the table, of any pose."""
-    import cv2
+    """Mask [H, W] of the readings of a depth image (in the camera's units) that lie above the table, of any pose.
 
+    Noise lies as often below the table as above: what is no larger than the specks there stands for nothing.
+    """
     slope = (rays.rays @ table.normal).reshape(rays.shape)
     down = _between(rays.rows[:: rays.shape[1]], camera.height)
     across = _between(rays.columns[: rays.shape[1]], camera.width)
     metres = depth * np.float32(camera.depth_scale)
     height = table.distance - metres * (down @ slope.astype(np.float32) @ across.T)
-    mask = (depth > 0) & (height > STANDS_OUT * metres) & (height < TALLEST)
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    out = STANDS_OUT * metres
+    above, areas = _pieces((depth > 0) & (height > out) & (height < TALLEST))
+    specks = _pieces((depth > 0) & (height < -out) & (height > -2 * out))[1]
+    return np.append(False, areas > max(PIECE * depth.size, SPECKS * specks.max(initial=0)))[above]
+
+
+def _pieces(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The connected pieces of a mask [H, W] without what is thinner than three pixels: their numbers from 1 on [H, W], and
+    areas [P] (pixels)."""
+    import cv2
+
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(opened)
+    return labels, statistics[1:, cv2.CC_STAT_AREA]
 
 
 def _between(nodes: np.ndarray, length: int) -> np.ndarray:
@@ -91,7 +107,7 @@ def match_outlines(masks: list[np.ndarray], colors: list[np.ndarray]) -> Shift |
         return None
     # noise moves the top of a broad hill by a pixel or two, which says nothing
     gain = float((fit.max() - middle) / max(fit[reach, reach] - middle, 0.1 * (fit.max() - middle)))
-    return Shift(int(column) - reach, int(row) - reach, gain)
+    return Shift(int(column) - reach, int(row) - reach, gain, float(fit.max() - fit[reach, reach]))
 
 
 def find_flip(masks: list[np.ndarray], colors: list[np.ndarray]) -> str | None:

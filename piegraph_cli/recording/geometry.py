@@ -30,6 +30,8 @@ IN_VIEW = 0.05
 """Share of the image that should show the table, for one that is not found to be bad."""
 SHIFT, GAIN = (0.012, 0.018), (1.25, 1.5)
 """Shift of depth against colour as a share of the width, and how much better the edges must fit there."""
+MORE = 0.18
+"""Of the outline that has to lie on edges there and not here: of a fold, which has one colour, little does anywhere."""
 REGISTER = (
     "register depth to colour when recording (RealSense: align to color), or give depth_K and T_color_depth, "
     "which ingest registers it by"
@@ -254,7 +256,7 @@ def _check_edges(look: _Look) -> Check | None:
     verdict = judged(pixels, allowed, wrong)
     if shift.gain < GAIN[1] and verdict == "bad":
         verdict = "doubtful"
-    if shift.gain < GAIN[0]:
+    if shift.gain < GAIN[0] or shift.more < MORE:
         verdict = "good"
     text = f"edges of depth lie {-shift.x}, {-shift.y} px (right, down) of those of colour"
     moving = f"moving depth by {shift.x}, {shift.y} px lays its edges on those of colour"

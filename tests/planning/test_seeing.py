@@ -210,6 +210,21 @@ def test_one_camera_sees_one_side_of_a_thing_that_is_no_smaller_for_that():
     assert sizes.apart(size, one_side=True)["width"] < 1.2
 
 
+def test_a_cloth_that_is_folded_in_its_place_is_not_there(monkeypatch):
+    """Particles chosen in a folded cloth lie where that very fold would lie best: 4.5 cm that are turned over hide there."""
+    cloth, shoot = make("cloth"), Sight.shoot
+    cloth.reset(seed=3)
+    flat, edge = cloth.nodes, cloth.nodes[:, 0].max() - 0.045
+    over = flat[:, 0] > edge
+    folded = np.where(over[:, None], flat * [-1, 1, 1] + [2 * edge, 0, 0.012], flat)
+    goal = look(*shoot(Sight(cloth), flat)).cloud
+    monkeypatch.setattr(Sight, "shoot", lambda self, shape=None, tip=None: shoot(self, folded, tip))
+    settings = PlanParams(**SETTINGS | {"env": "cloth"})
+    found = play_seen(cloth, None, settings, goal, start=0, goal=0)
+    assert (found.ending, len(found.steps)) == ("strokes spent", 1)
+    assert found.start_distance > settings.success
+
+
 def test_particles_are_put_in_the_order_of_the_nearest_state():
     rng = np.random.default_rng(0)
     state = rng.uniform(-0.1, 0.1, (30, 3))

@@ -51,6 +51,10 @@ class Place(NamedTuple):
         return "".join(f":{part}" for part in (self.key, self.frame) if part is not None)
 
 
+SEES = 2
+"""Raised where plans through cameras see otherwise than before; the versions of `plan` and `trials` are of all plans."""
+
+
 class PlanParams(PredictionParams, EnvironmentParams):
     """Settings of `plan`."""
 
@@ -187,7 +191,10 @@ class PlanParams(PredictionParams, EnvironmentParams):
         frames: dict[str, Any] = {f"{name}_frame": place.frame for name, place in placed if place.frame is not None}
         frames |= {f"{name}_key": place.key for name, place in placed if place.key is not None}
         unsaid = {"frame"} | ({"table"} if not any(self.table or ()) else set()) | ({"cameras"} - {*self.files()})
-        unsaid |= {"keep", "sight"} if self.look == "particles" else set()
+        if self.look == "particles":
+            unsaid |= {"keep", "sight"}
+        else:
+            frames |= {"sees": SEES}
         return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 
     def files(self) -> dict[str, Path]:

@@ -118,7 +118,7 @@ STAGE = Stage(
     (),
     "frames",
     IngestParams,
-    version=5,
+    version=6,
     run="piegraph_cli.stages.ingest:run",
     units=_units,
     settings=_settings,

@@ -260,31 +260,31 @@ def make_predict(name: str, trained: Trained | None, rest: torch.Tensor, params:
     One neighbour list serves every prediction of a graph network: it is cheaper than a new one per state, and more accurate
     over several strokes, since layers of a folded object do not connect. `name` may end in @ and a number of sequences.
     """
-    foresee = _foresee(name, trained, rest, params, None)
+    foresee = make_foresee(name, trained, rest, params, spread=False)
     return lambda positions, strokes: foresee(positions, strokes)[0]
 
 
-def make_foresee(name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams) -> Foresee:
-    """As `make_predict`, beside the signs of how far off a prediction may be."""
-    return _foresee(name, trained, rest, params, _spread(trained, rest))
-
-
-def _foresee(
-    name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams, spread: Spread | None
+def make_foresee(
+    name: str, trained: Trained | None, rest: torch.Tensor, params: PredictionParams, spread: bool = True
 ) -> Foresee:
+    """As `make_predict`, beside the signs of how far off a prediction may be.
+
+    Without `spread`, which nobody needs who knows no `Calibration`, what is fitted is not predicted by other numbers too.
+    """
     name = split_label(name)[0]
     if name == "static":
         return sure(lambda positions, strokes: positions)
     move, correction = _move(name, trained, rest, params), MODELS[name].correction
     correct = correction(rest, params) if correction else None
+    apart = _spread(trained, rest) if spread else None
 
     def foresee(positions: torch.Tensor, strokes: Strokes) -> tuple[torch.Tensor, torch.Tensor]:
         strokes.check()
         setpoint = move(positions, strokes)
         after = correct(positions, setpoint) if correct else setpoint
         signs = signs_of(positions, setpoint, after)
-        if spread is not None:
-            signs[:, 1] = spread(positions, strokes, after)
+        if apart is not None:
+            signs[:, 1] = apart(positions, strokes, after)
         return after, signs
 
     return foresee

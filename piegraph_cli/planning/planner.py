@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from piegraph_cli.dynamics.models import Trained, make_foresee, make_predict, recordable, sure
+from piegraph_cli.dynamics.models import Trained, make_foresee, recordable
 from piegraph_cli.dynamics.params import trained_label
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.params import PICK, PUSH, mode_number, mode_word
@@ -59,10 +59,7 @@ def make_planner(
         return cost, lambda positions, _: put_worst_right(positions, places, cost, picks)
     rest = torch.as_tensor(state, device=device)
     calibration = trained.calibration if trained else None
-    if calibration is None:
-        foresee = sure(make_predict(params.model, trained, rest, params))
-    else:
-        foresee = make_foresee(params.model, trained, rest, params)
+    foresee = make_foresee(params.model, trained, rest, params, calibration is not None)
     space = stroke_space(rest, params, modes, pusher_radius(params, tool))
     generator = torch.Generator(device).manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
     record = rest.is_cuda and recordable(params.model) and len(modes) == 1 and kind != "emd"

@@ -60,7 +60,7 @@ class Rehearsal:
         self.environments.append((name, particles, params))
         return self.table
 
-    def _model(self, name: str, trained: Any, rest: torch.Tensor, params: Any):
+    def _model(self, name: str, trained: Any, rest: torch.Tensor, params: Any, *_: bool):
         self.made.append((name, trained, rest, params))
 
         def predict(positions: torch.Tensor, strokes: Any) -> torch.Tensor:

@@ -16,9 +16,9 @@ FEW_READINGS = 0.3
 """Share of pixels with a reading of depth below which it is doubtful."""
 STEPS = 20
 """Depth that never exceeds this number of units was not written in units that fit an image of whole numbers."""
-COARSE, EVENLY, ENOUGH = (0.004, 0.008), 1.25, 16
-"""Steps of depth (m) that are doubtful, bad, where they are as wide (the widest of most times the narrowest) from near to far
-and so many: stereo and structured light have narrow ones near by and wider ones far away.
+COARSE, EVENLY, ENOUGH = (0.005, 0.01), 1.25, 16
+"""Steps of depth, as shares of its median, that are doubtful, bad, where they are as wide (the widest of most times the
+narrowest) from near to far and so many: stereo and structured light have narrow ones near by and wider ones far away.
 """
 DIM = 32
 """Grey of the brightest pixels below which an image shows hardly anything."""
@@ -118,7 +118,7 @@ def check_images(camera: Camera, depth: Sequence[np.ndarray], color: Sequence[np
     checks += _check_steps(camera, depth)
     grey = [image[::2, ::2].mean(-1) for image in color]
     most_light = max(float(np.percentile(g, 99.9)) for g in grey)
-    if most_light < DIM:
+    if 0 < most_light < DIM:
         text, cause = f"the brightest pixels have {most_light:.0f} of 255", "too dark, or 10 or 12 bits written as 16"
         remedy = "more light; or write colour with 8 bits"
         return [*checks, Check("exposure", who, most_light, "1", DIM, "doubtful", text, cause, remedy)]
@@ -143,13 +143,12 @@ def _check_steps(camera: Camera, depth: Sequence[np.ndarray]) -> list[Check]:
     if len(values) < ENOUGH:
         return []
     narrow, step, wide = np.quantile(np.diff(values), [0.1, 0.5, 0.9])
-    size = step * camera.depth_scale
-    if size <= COARSE[0] or wide > EVENLY * narrow + 1:
+    share = float(step / np.median(np.concatenate([image[image > 0] for image in depth])))
+    if share <= COARSE[0] or wide > EVENLY * narrow + 1:
         return []
-    text, cause = f"depth comes in steps of {size * 1000:.0f} mm", "written with 8 bits, or compressed with loss"
-    remedy = "write depth as 16-bit PNG, in millimetres or finer"
-    verdict = judged(size, *COARSE)
-    return [Check("readings", (camera.name,), size * 1000, "mm", COARSE[0] * 1000, verdict, text, cause, remedy)]
+    text = f"depth comes in steps of {step * camera.depth_scale * 1000:.0f} mm"
+    cause, remedy = "written with 8 bits, or compressed with loss", "write depth as 16-bit PNG, in millimetres or finer"
+    return [Check("readings", (camera.name,), share, "1", COARSE[0], judged(share, *COARSE), text, cause, remedy)]
 
 
 def sharpness_of(color: np.ndarray) -> float | None:

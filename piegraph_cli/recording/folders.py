@@ -138,7 +138,8 @@ def calibration_sequences(sequences: list[Path]) -> set[str]:
     found = set()
     for path in (sequences[0].parent / "cameras.json", *(s / "cameras.json" for s in sequences)):
         try:
-            noted = json.loads(path.read_bytes())["calibration_sequence"]
+            with path.open("rb") as file:
+                noted = json.load(file)["calibration_sequence"]
             found |= set(noted if isinstance(noted, list) else [noted])
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             continue  # reading the sequence says what is wrong

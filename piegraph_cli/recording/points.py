@@ -197,6 +197,8 @@ def _chosen(arrays: Mapping[str, _Array], path: Path) -> str:
     """
     able = [name for name, array in arrays.items() if array.may_be_points and name.lower() not in NO_POINTS]
     called = [name for name in able if name.lower() in OF_POINTS]
+    if sorted(called) == ["particles", "points"]:  # what `look --out` writes
+        called = ["points"]
     if len(able) > 1 and len(called) != 1:
         message = f"which of its arrays are the points: {', '.join(able[:8])}?"
         raise DataError(message, str(path), NAME_THEM)

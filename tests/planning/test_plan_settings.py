@@ -479,9 +479,3 @@ def test_an_object_far_from_the_table_is_not_planned_for(height, refused):
 def test_true_is_no_number():
     with pytest.raises(UsageError, match="strokes is true: give a number"):
         validated(PlanParams, {"strokes": True}, "plan", "", "")
-
-
-def test_only_plans_through_cameras_are_of_how_they_see():
-    seen, told = (PlanParams(env="tblock", look=look).content() for look in ("cameras", "particles"))
-    assert "sees" in seen
-    assert "sees" not in told

@@ -9,7 +9,7 @@ import pytest
 
 from piegraph_cli.commands.stages import _report
 from piegraph_cli.environments.sight import Sight
-from piegraph_cli.planning.params import PlanParams, TrialsParams
+from piegraph_cli.planning.params import SEES, PlanParams, TrialsParams
 from piegraph_cli.stages import STAGES
 from piegraph_cli.stages.seen import refused
 from piegraph_cli.workspace.artifact import read_artifact
@@ -60,7 +60,7 @@ def test_how_cameras_see_is_in_keys_where_they_are_looked_through_alone():
     usual = PlanParams(env="tblock").content()
     assert PlanParams(env="tblock", keep="track", sight="cameras=1,noise=2").content() == usual
     seen = PlanParams(env="tblock", look="cameras").content()
-    assert seen == usual | {"look": "cameras"}
+    assert seen == usual | {"look": "cameras", "sees": SEES}
     few = PlanParams(env="tblock", look="cameras", sight="cameras=1", keep="track").content()
     assert few["sight"]["cameras"] == 1
     assert few["keep"] == "track"

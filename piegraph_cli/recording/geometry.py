@@ -4,7 +4,7 @@ Each check has a figure, a threshold and a verdict; what is bad comes with a cau
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from piegraph_cli.recording.causes import Cause, Fault, fault_of, find_cause
 from piegraph_cli.recording.checks import Check, check_images, judged
 from piegraph_cli.recording.edges import find_flip, match_outlines, standing
 from piegraph_cli.recording.given import explained_by_entries
-from piegraph_cli.recording.lenses import along_rays, find_crop, find_lens, find_ranges, find_turned
+from piegraph_cli.recording.lenses import Tables, along_rays, find_crop, find_lens, find_ranges, find_turned
 from piegraph_cli.recording.pairs import check_pairs
 from piegraph_cli.recording.planes import Plane, Rays, find_planes
 from piegraph_cli.recording.texture import check_texture, picture_of
@@ -136,20 +136,23 @@ def _check_tables(looks: Sequence[_Look], edges: dict[str, Check], workspace: np
     bad = [k for k, fault in enumerate(faults) if fault and _badness(fault) > 1]
     causes = {k: cause for k in bad if (cause := _by_edges(looks[k], faults[k], edges.get(looks[k].camera.name)))}
     left = [k for k in bad if k not in causes]
+    planes, cameras = [look.planes for look in looks], [look.camera for look in looks]
+    lenses, sizes = [camera.K for camera in cameras], [(camera.width, camera.height) for camera in cameras]
     while left:
-        cause = _by_images(looks, left, table) or find_cause(
-            [look.planes for look in looks],
+        tables = Tables(planes, poses, lenses, sizes, left, table, _badness)
+        cause = _by_images(looks, tables) or find_cause(
+            planes,
             poses,
-            [look.camera.depth_scale for look in looks],
+            [camera.depth_scale for camera in cameras],
             [fault or Fault(0, 0, 0, 0) for fault in faults],
             left,
             [k for k, fault in enumerate(faults) if k in left or (fault and _share(fault, 0) > 1 and k not in causes)],
-            [look.camera.name for look in looks],
+            [camera.name for camera in cameras],
             table,
             _badness,
         )
         if not cause.tested:
-            cause = _by_lens(looks, left, table) or cause
+            cause = find_lens(tables) or find_crop(tables) or cause
         causes |= dict.fromkeys(cause.cameras, cause)
         left = [k for k in left if k not in cause.cameras]
     checks = []
@@ -169,28 +172,10 @@ def _by_edges(look: _Look, fault: Fault | None, edges: Check | None) -> Cause | 
     return Cause(edges.cause, edges.remedy, ()) if abs(fault.offset) < most else None
 
 
-def _by_images(looks: Sequence[_Look], bad: Sequence[int], table: float) -> Cause | None:
-    """What was done to all of the images or the depth of the cameras `bad`, where that explains their tables."""
-    poses = [look.camera.T_world_camera for look in looks]
-    ranges = [find_planes(along_rays(look.points)) if k in bad else look.planes for k, look in enumerate(looks)]
-    planes, lenses, sizes = [look.planes for look in looks], *_lenses(looks)
-    return find_turned(planes, poses, lenses, sizes, bad, table, _badness) or find_ranges(
-        ranges, poses, bad, table, _badness
-    )
-
-
-def _by_lens(looks: Sequence[_Look], bad: Sequence[int], table: float) -> Cause | None:
-    """Another lens, or images that were resized or cropped, where that explains the tables of the cameras `bad`."""
-    planes, poses = [look.planes for look in looks], [look.camera.T_world_camera for look in looks]
-    lenses, sizes = _lenses(looks)
-    return find_lens(planes, poses, lenses, bad, table, _badness) or find_crop(
-        planes, poses, lenses, sizes, bad, table, _badness
-    )
-
-
-def _lenses(looks: Sequence[_Look]) -> tuple[list[np.ndarray], list[tuple[int, int]]]:
-    cameras = [look.camera for look in looks]
-    return [camera.K for camera in cameras], [(camera.width, camera.height) for camera in cameras]
+def _by_images(looks: Sequence[_Look], tables: Tables) -> Cause | None:
+    """What was done to all of the images or the depth of cameras, where that explains their tables."""
+    ranges = [find_planes(along_rays(look.points)) if k in tables.bad else look.planes for k, look in enumerate(looks)]
+    return find_turned(tables) or find_ranges(replace(tables, planes=ranges))
 
 
 def _in_view(look: _Look, workspace: np.ndarray, table: float) -> float:

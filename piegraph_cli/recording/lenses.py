@@ -4,7 +4,7 @@ Each is tried on the planes that were found: what brings the tables to z = 0 is 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,23 +32,43 @@ def _back_counterclockwise(size: Size) -> np.ndarray:
     return np.array([[0.0, 1, 0], [-1, 0, size[0] - 1], [0, 0, 1]])
 
 
-def find_lens(
-    planes: Sequence[Sequence[Plane]],
-    poses: Sequence[np.ndarray],
-    intrinsics: Sequence[np.ndarray],
-    bad: Sequence[int],
-    table: float,
-    limits: Limits,
-) -> Cause | None:
-    """The factor of K, or of its focal lengths alone, that explains the faults of two cameras or more, `bad`.
+@dataclass(frozen=True)
+class Tables:
+    """The tables of several cameras, of which some are wrong."""
 
-    `planes` per camera in its frame (m), `poses` [4, 4] and `intrinsics` [3, 3] as they are given.
-    """
-    if len(bad) < 2:
+    planes: Sequence[Sequence[Plane]]
+    """Of each camera, in its frame (m)."""
+    poses: Sequence[np.ndarray]
+    """[4, 4] as they are given."""
+    intrinsics: Sequence[np.ndarray]
+    """[3, 3] as they are given."""
+    sizes: Sequence[Size]
+    """Width and height (px) of the images."""
+    bad: Sequence[int]
+    """The cameras whose tables are wrong."""
+    height: float
+    """Where the table should be: z (m)."""
+    limits: Limits
+
+    def worst(self, moved: Sequence[np.ndarray]) -> float:
+        """The worst fault of the wrong ones, were the points of each camera moved by its `moved` [3, 3]."""
+        return max(
+            min(self.limits(fault_of(_seen_by(p, moved[c]), self.poses[c], self.height)) for p in self.planes[c])
+            for c in self.bad
+        )
+
+    def cause(self, text: str, remedy: str) -> Cause:
+        """What explains the wrong ones."""
+        return Cause(text, remedy, tuple(self.bad))
+
+
+def find_lens(tables: Tables) -> Cause | None:
+    """The factor of K, or of its focal lengths alone, that explains the faults of two cameras or more."""
+    if len(tables.bad) < 2:
         return None
 
     def worst(rows: list[list[float]]) -> float:
-        return _worst([np.linalg.inv(K * rows) @ K for K in intrinsics], planes, poses, bad, table, limits)
+        return tables.worst([np.linalg.inv(K * rows) @ K for K in tables.intrinsics])
 
     tried = [float(f) for f in FACTORS if abs(f - 1) > UNCHANGED]
     found = [(worst([[f] * 3, [f] * 3, [1] * 3]), f, True) for f in tried]
@@ -57,74 +77,55 @@ def find_lens(
     if score > CLOSE:
         return None
     if resized:
-        text = f"K of images about {factor:.2f} times as large puts the table at z = {table:g}: were they resized?"
-        return Cause(
-            text, "give K of the images as they are: its first two rows, times what the images were", tuple(bad)
+        text = (
+            f"K of images about {factor:.2f} times as large puts the table at z = {tables.height:g}: were they resized?"
         )
-    text = f"focal lengths {factor:.2f} times as long put the table at z = {table:g}: K is that of other images or another lens"
-    return Cause(text, "give K of these images: piegraph calibrate --intrinsics", tuple(bad))
+        return tables.cause(text, "give K of the images as they are: its first two rows, times what the images were")
+    text = f"focal lengths {factor:.2f} times as long put the table at z = {tables.height:g}"
+    text += ": K is that of other images or another lens"
+    return tables.cause(text, "give K of these images: piegraph calibrate --intrinsics")
 
 
-def find_turned(
-    planes: Sequence[Sequence[Plane]],
-    poses: Sequence[np.ndarray],
-    intrinsics: Sequence[np.ndarray],
-    sizes: Sequence[Size],
-    bad: Sequence[int],
-    table: float,
-    limits: Limits,
-) -> Cause | None:
-    """Images that were turned by a quarter, or a K whose middle has its numbers exchanged, as what explains the faults `bad`.
-
-    `sizes` are width and height (px) of the images.
-    """
+def find_turned(tables: Tables) -> Cause | None:
+    """Images that were turned by a quarter, or a K whose middle has its numbers exchanged, as what explains the faults."""
     tried: list[tuple[str, str, list[np.ndarray]]] = []
     for name, to in (("clockwise", _back_clockwise), ("counterclockwise", _back_counterclockwise)):
-        text = f"turning the images back, by a quarter {name}, puts the table at z = {table:g}: were they turned since?"
-        tried.append((text, AGAIN, [to(size) for size in sizes]))
-    text = f"exchanging cx and cy of K puts the table at z = {table:g}"
-    apart = min(abs(intrinsics[c][0, 2] - intrinsics[c][1, 2]) / max(sizes[c]) for c in bad)
-    exchanged = [_shifted(K[0, 2] - K[1, 2], K[1, 2] - K[0, 2]) for K in intrinsics]
+        text = f"turning the images back, by a quarter {name}, puts the table at z = {tables.height:g}: were they turned since?"
+        tried.append((text, AGAIN, [to(size) for size in tables.sizes]))
+    text = f"exchanging cx and cy of K puts the table at z = {tables.height:g}"
+    apart = min(abs(tables.intrinsics[c][0, 2] - tables.intrinsics[c][1, 2]) / max(tables.sizes[c]) for c in tables.bad)
+    exchanged = [_shifted(K[0, 2] - K[1, 2], K[1, 2] - K[0, 2]) for K in tables.intrinsics]
     if apart > UNCHANGED:
         tried.append((text, "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], cx along the width", exchanged))
     for text, remedy, pixels in tried:
-        seen = [np.linalg.inv(K) @ M @ K for K, M in zip(intrinsics, pixels, strict=True)]
-        if _worst(seen, planes, poses, bad, table, limits) < CLOSE:
-            return Cause(text, remedy, tuple(bad))
+        if tables.worst(_moved(tables, pixels)) < CLOSE:
+            return tables.cause(text, remedy)
     return None
 
 
-def find_crop(
-    planes: Sequence[Sequence[Plane]],
-    poses: Sequence[np.ndarray],
-    intrinsics: Sequence[np.ndarray],
-    sizes: Sequence[Size],
-    bad: Sequence[int],
-    table: float,
-    limits: Limits,
-) -> Cause | None:
+def find_crop(tables: Tables) -> Cause | None:
     """Rows that were cut off, or added, at the top of the images since, as what explains the faults of two cameras or more.
 
     What was cut off at the left turns a view about the vertical, which no table shows.
     """
-    if len(bad) < 2:
+    if len(tables.bad) < 2:
         return None
 
     def worst(share: float) -> float:
-        back = [_shifted(0, share * height) for _, height in sizes]
-        seen = [np.linalg.inv(K) @ M @ K for K, M in zip(intrinsics, back, strict=True)]
-        return _worst(seen, planes, poses, bad, table, limits)
+        return tables.worst(_moved(tables, [_shifted(0, share * height) for _, height in tables.sizes]))
 
     best = float(min(CROPS, key=worst))
     if worst(best) > CLOSE:
         return None
-    rows, done = abs(best) * sizes[bad[0]][1], "cut off" if best > 0 else "added"
-    text = f"with about {rows:.0f} rows {done} at the top since, the table is at z = {table:g}: were the images "
+    rows, done = abs(best) * tables.sizes[tables.bad[0]][1], "cut off" if best > 0 else "added"
+    text = (
+        f"with about {rows:.0f} rows {done} at the top since, the table is at z = {tables.height:g}: were the images "
+    )
     text += "cropped?" if best > 0 else "padded?"
     columns = (
         "of columns at the left and rows at the top, what was cut off is less in cx and cy of K, what was added more"
     )
-    return Cause(text, columns, tuple(bad))
+    return tables.cause(text, columns)
 
 
 def along_rays(points: np.ndarray) -> np.ndarray:
@@ -132,30 +133,19 @@ def along_rays(points: np.ndarray) -> np.ndarray:
     return points * (points[:, 2] / np.linalg.norm(points, axis=1))[:, None]
 
 
-def find_ranges(
-    planes: Sequence[Sequence[Plane]], poses: Sequence[np.ndarray], bad: Sequence[int], table: float, limits: Limits
-) -> Cause | None:
-    """Depth along the rays, as what explains the faults `bad`; `planes` are those of points `along_rays`."""
-    if any(not planes[c] for c in bad):
+def find_ranges(tables: Tables) -> Cause | None:
+    """Depth along the rays, as what explains the faults, where the planes are those of points `along_rays`."""
+    if any(not tables.planes[c] for c in tables.bad) or tables.worst([np.eye(3)] * len(tables.planes)) > CLOSE:
         return None
-    if _worst([np.eye(3)] * len(planes), planes, poses, bad, table, limits) > CLOSE:
-        return None
-    text = f"depth taken as the distance along each pixel's ray puts the table at z = {table:g}"
-    return Cause(
-        text, "write z, the distance along the camera's axis, as depth cameras and renderers give it too", tuple(bad)
+    text = f"depth taken as the distance along each pixel's ray puts the table at z = {tables.height:g}"
+    return tables.cause(
+        text, "write z, the distance along the camera's axis, as depth cameras and renderers give it too"
     )
 
 
-def _worst(
-    seen: Sequence[np.ndarray],
-    planes: Sequence[Sequence[Plane]],
-    poses: Sequence[np.ndarray],
-    bad: Sequence[int],
-    table: float,
-    limits: Limits,
-) -> float:
-    """The worst fault of the cameras `bad`, were their points moved by `seen` [3, 3]."""
-    return max(min(limits(fault_of(_seen_by(p, seen[c]), poses[c], table)) for p in planes[c]) for c in bad)
+def _moved(tables: Tables, pixels: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """How points move [3, 3] per camera whose pixels move by `pixels` [3, 3]."""
+    return [np.linalg.inv(K) @ M @ K for K, M in zip(tables.intrinsics, pixels, strict=True)]
 
 
 def _shifted(x: float, y: float) -> np.ndarray:

@@ -10,6 +10,8 @@ from filelock import FileLock
 
 from tests.cli import REPOSITORY, piegraph
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the program does, before NumPy is imported
+
 
 @pytest.fixture(autouse=True, scope="session")
 def one_thread():

@@ -97,13 +97,14 @@ def median_seconds(work: Callable[[], Any], repeats: int = REPEATS) -> float:
 
 
 def measure(work: Callable[[], Any], repeats: int) -> list[float]:
-    """Times of `work`, which has run before to warm up; quick work is repeated within a measurement."""
+    """Times of `work`, which runs before to warm up; quick work is repeated within a measurement."""
     work()
     begin = time.perf_counter()
     work()
-    times = max(1, round(WITHIN / repeats / max(time.perf_counter() - begin, 1e-7)))
-    measured = []
-    for _ in range(repeats):
+    once = time.perf_counter() - begin
+    times = max(1, round(WITHIN / repeats / max(once, 1e-7)))
+    measured = [once] if times == 1 else []
+    while len(measured) < repeats:
         begin = time.perf_counter()
         for _ in range(times):
             work()

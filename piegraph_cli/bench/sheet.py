@@ -16,7 +16,7 @@ SIDE, THICK, STEP = 0.3, 0.006, 0.004
 """Metres: a square sheet, and how densely it is measured."""
 WAY, TURN = 0.006, 0.03
 """Metres and radians a frame."""
-FRAMES = 12
+FRAMES = 8
 TRACKED = 5e-3
 """Metres of mean error allowed."""
 CELLS, TABLE = 24, 70.0

@@ -124,6 +124,15 @@ class SheetFollower:
         self.state = self._state(mesh.points)
         self.atlas.fill(self.state.surfaces, self.shots)
 
+    def go_on(self, shots: Sequence[Shot], time: np.ndarray, hand: Hand | None) -> None:
+        """The same sheet, where it is now, in further frames at `time` [F] (s): `shots` of the first of them, in which a
+        hand may hold it already.
+        """
+        self.time, self.hand, self.grip = time, hand, Grip(hand, len(self.mesh.points))
+        self.shots = list(shots)
+        self.state = self._state(self.state.x)
+        self.grip.carry(0, self.state.x, Sums(len(self.state.x)))
+
     def follow(self, frame: int, shots: Sequence[Shot]) -> State:
         """Move on to the next frame. No state leaves that is not finite: what failed is left out."""
         before, shots = self.state, list(shots)

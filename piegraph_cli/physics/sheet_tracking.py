@@ -32,6 +32,47 @@ def taken_for_sheet(cloud: np.ndarray, views: Sequence[View], params: TrackParam
     return params.object == "sheet" or (params.association == "soft" and is_sheet(cloud))
 
 
+class SheetTracker:
+    """One sheet on its way, from the first images of it on."""
+
+    def __init__(self, cloud: np.ndarray, views: Sequence[View], particles: int):
+        """`cloud` [P, 3] (m) of the sheet at first; so many of its points, or more, are told of.
+
+        Raises `DataError` for a cloud that is no surface.
+        """
+        self.mesh, self.colours = sheet_mesh(cloud, particles), [_Colours(view) for view in views]
+        self.follower: SheetFollower | None = None
+        self.usual = 0.0
+
+    def begin(self, everywhere: np.ndarray, views: Sequence[View], time: np.ndarray, hand: Hand | None) -> None:
+        """Go on from where the sheet is, as `views` show it, with the frames at `time` [F] (s), the first of which this is.
+
+        `everywhere` [P, 3] (m) is where it gets to in them.
+        """
+        self.lenses = [Lens(view.camera, everywhere) for view in views]
+        shots = _shots(views, self.lenses, self.colours)
+        if self.follower is None:
+            self.follower = SheetFollower(self.mesh, shots, time, hand)
+            self.first = _seen(self.follower.state)
+        else:
+            self.follower.go_on(shots, time, hand)
+
+    def at(self, frame: int, cloud: np.ndarray, views: Sequence[View]) -> Found:
+        """The sheet in a frame after the last one, or in the first: its cloud [P, 3] (m), and what cameras see."""
+        assert self.follower is not None
+        unseen = len(cloud) < FEWEST_POINTS
+        if frame > 0:
+            self.follower.skip(frame) if unseen else self.follower.follow(
+                frame, _shots(views, self.lenses, self.colours)
+            )
+        positions = self.mesh.particles(self.follower.state.x).astype(np.float32)
+        seen = np.zeros(len(positions)) if unseen else _seen(self.follower.state)
+        near, misfit = (0.0, 0.0) if unseen else _distances(positions, seen >= SEEN, cloud)
+        self.usual = misfit if frame == 0 else self.usual
+        weight = np.where(seen < SEEN, 0.0, (seen / np.maximum(self.first, SEEN)).clip(max=1)).astype(np.float32)
+        return Found(positions, near, weight, misfit, unseen, misfit > self.usual + LOST)
+
+
 def follow_sheet(
     clouds: Sequence[np.ndarray],
     views: Sequence[Sequence[View]],
@@ -44,23 +85,9 @@ def follow_sheet(
 
     Raises `DataError` for a first cloud that is no surface.
     """
-    mesh, everywhere = sheet_mesh(clouds[0], particles), np.concatenate([cloud[::SPARSE] for cloud in clouds])
-    lenses = [Lens(view.camera, everywhere) for view in views[0]]
-    colours = [_Colours(view) for view in views[0]]
-    follower = SheetFollower(mesh, _shots(views[0], lenses, colours), time, hand)
-    first = _seen(follower.state)
-    usual, found = 0.0, []
-    for frame, cloud in enumerate(progress(clouds)):
-        unseen = len(cloud) < FEWEST_POINTS
-        if frame > 0:
-            follower.skip(frame) if unseen else follower.follow(frame, _shots(views[frame], lenses, colours))
-        positions = mesh.particles(follower.state.x).astype(np.float32)
-        seen = np.zeros(len(positions)) if unseen else _seen(follower.state)
-        near, misfit = (0.0, 0.0) if unseen else _distances(positions, seen >= SEEN, cloud)
-        usual = misfit if frame == 0 else usual
-        weight = np.where(seen < SEEN, 0.0, (seen / np.maximum(first, SEEN)).clip(max=1)).astype(np.float32)
-        found.append(Found(positions, near, weight, misfit, unseen, misfit > usual + LOST))
-    return found
+    tracker = SheetTracker(clouds[0], views[0], particles)
+    tracker.begin(np.concatenate([cloud[::SPARSE] for cloud in clouds]), views[0], time, hand)
+    return [tracker.at(frame, cloud, views[frame]) for frame, cloud in enumerate(progress(clouds))]
 
 
 class _Colours:

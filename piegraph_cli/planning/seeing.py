@@ -32,6 +32,7 @@ from piegraph_cli.planning.question import PARTICLES, wanted
 from piegraph_cli.planning.search import Plan
 from piegraph_cli.planning.thin import line_of, places_along
 from piegraph_cli.planning.tracked import Tracked
+from piegraph_cli.recording.film import Scene
 from piegraph_cli.recording.params import CheckName, ReadParams
 
 SURE = 0.9
@@ -68,7 +69,7 @@ def play_seen(
     loop = _Loop(environment, sight, eyes, within(params, environment.walls), trained, there, device)
     loop.seed, loop.tool = [params.seed, 2, start, goal], tool_of(environment)
     if params.keep == "track":
-        loop.tracked = Tracked(first, scene, eyes.settings, TIP_HEIGHT)
+        loop.track(first, scene)
     return loop.run(first, true, None if drawn is None else drawn.copies)
 
 
@@ -105,7 +106,13 @@ class _Loop:
         self.line = line_of(self.there)
         self.tool, self.seed = Tool(), [0]
         self.tracked: Tracked | None = None
+        self.whole: Goal | None = None
         self.unseen: Unseen | None = None
+
+    def track(self, first: Look, scene: Scene) -> None:
+        """Keep the particles of a first look, which know from then on where in the goal they belong, however they lie."""
+        self.tracked = Tracked(first, scene, self.eyes.settings, TIP_HEIGHT)
+        self.whole = Goal.of_cloud(self.there, first.cloud, self.tracked.rest, self._rigid)
 
     def run(self, first: Look, true: np.ndarray, copies: np.ndarray | None) -> Episode:
         """The episode from a first look on; states as they were, `true` [N, 3] (m) the first, are kept and not read."""
@@ -154,7 +161,9 @@ class _Loop:
         places = places_along(self.line, self.seen.cloud, self.positions)
         if places is not None:
             return Goal(self.there, places)
-        goal = Goal.of_cloud(self.there, self.seen.cloud, self.positions, self._rigid)
+        goal = self.whole
+        if goal is None or goal.particles is None:
+            goal = Goal.of_cloud(self.there, self.seen.cloud, self.positions, self._rigid)
         limit = SURE * self.params.success
         if goal.particles is None or self.apart is None or self.apart < limit:
             return goal

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 import typer
 
 from piegraph_cli.commands.program import GROUPS, app
+from piegraph_cli.dynamics import choosing, own_block
+from piegraph_cli.dynamics.tuning import KINDS
 from piegraph_cli.recording.boards import Board
 from piegraph_cli.recording.points import write_points
 from piegraph_cli.workspace.artifact import read_artifact
@@ -31,7 +34,7 @@ SIZES: dict[str, tuple[str, ...]] = {
     r"run (tblock|tshirt)": ("--jobs", "1", *(word for setting in TINY for word in ("--set", setting))),
     r"train .*--model pgnd": ("--steps", "2"),
     r"train (?!.*--model)": SMALL["train"],
-    r"simulate .*--trouble": (*FEW, "--cameras", "2"),
+    r"simulate .*--render": (*FEW, "--cameras", "2"),
     r"simulate": FEW,
     r"plan .*--env": ("--samples", "8", "--cem-iterations", "1", "--strokes", "1"),
     r"trials": ("--envs", "tblock", "--models", "static,piegraph", "--goals", "1", "--seeds", "1", "--strokes", "1"),
@@ -115,8 +118,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory, sample_run: Path, tiny_run:
     return made
 
 
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch):
+    """Priors learn, and are compared, for a few steps: no option makes them shorter."""
+    monkeypatch.setattr(own_block, "SIMULATED", 80)
+    monkeypatch.setattr(choosing, "STEPS", 10)
+    monkeypatch.setitem(KINDS, "blocks", replace(KINDS["blocks"], steps=20, compared=6))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_of_the_pages_runs(page: Path, folder: Path):
+def test_every_command_of_the_pages_runs(page: Path, folder: Path, brief: None):
     """In the order of the page; what an earlier command made is there for a later one."""
     for words in commands(page):
         if fits(ELSEWHERE, words):

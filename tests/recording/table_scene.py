@@ -75,7 +75,8 @@ def make_views(
     views = []
     for k, camera in enumerate(cameras):
         rng = np.random.default_rng([seed, k])
-        frames = [sensed(*seen(camera, of_frame), camera, noise, rng) for of_frame in boxes]
+        scenes = {of_frame: seen(camera, of_frame) for of_frame in set(map(tuple, boxes))}
+        frames = [sensed(*scenes[tuple(of_frame)], camera, noise, rng) for of_frame in boxes]
         views.append(View(camera, [depth for depth, _ in frames], [color for _, color in frames]))
     return views
 

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from piegraph_cli.dynamics.params import MODEL_NAMES, Label, PredictionParams
 from piegraph_cli.environments.params import (
     ENVIRONMENT_NAMES,
+    PATTERNED,
     EnvironmentName,
     EnvironmentParams,
     EnvironmentSettings,
@@ -51,8 +52,12 @@ class Place(NamedTuple):
         return "".join(f":{part}" for part in (self.key, self.frame) if part is not None)
 
 
-SEES = 2
+SEES = 3
 """Raised where plans through cameras see otherwise than before; the versions of `plan` and `trials` are of all plans."""
+
+
+WEIGHED = 2
+"""The same of plans with pushes and picks at once: how they are weighed."""
 
 
 class PlanParams(PredictionParams, EnvironmentParams):
@@ -195,6 +200,8 @@ class PlanParams(PredictionParams, EnvironmentParams):
             unsaid |= {"keep", "sight"}
         else:
             frames |= {"sees": SEES}
+        if len(self.modes) > 1 or (not self.modes and self.env in (None, *PATTERNED)):
+            frames |= {"weighed": WEIGHED}
         return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 
     def files(self) -> dict[str, Path]:

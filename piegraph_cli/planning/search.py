@@ -52,7 +52,9 @@ class Search:
 
     The first iteration is uniform. Each later one is drawn around the weighted candidates of the one before, and keeps the
     best so far: CEM weighs the elites equally and fits the deviation, MPPI weighs all by exp(-cost / temperature) and
-    keeps the deviation. CEM ends early when its elites are as good as the best within `converged` (m).
+    keeps the deviation. CEM ends early when its elites are as good as the best within `converged` (m). Sequences that begin
+    with a push and with a pick are weighed each among themselves, and half of the next ones are of each: most picks at
+    random harm where a push changes nothing, and all would be pushes before picks are any good.
     It works where `generator` is, as `foresee`, `cost` and `space` must. `record` has a GPU replay the iterations, see
     `kernels.recorded`; that needs one mode, and a `foresee` and `cost` that never wait for their results.
     Source: paper, III-E (CEM); MPPI as in the paper's baseline PGND.
@@ -122,7 +124,7 @@ class Search:
         better = ranked[leader] < self.best[0]
         for kept, found in zip(self.best, (ranked, predicted, self.proposals, costs, errors), strict=True):
             torch.where(better.view(-1, *[1] * (found.dim() - 1)), found[leader], kept, out=kept)
-        self.seen = strokes, ranked, _weights(ranked, self.params)
+        self.seen = strokes, ranked, self._weights(ranked)
 
     def _errors(self, signs: torch.Tensor) -> torch.Tensor:
         """The errors [B, H] (m) to expect of candidates with signs [B, H, 2] (m); NaN without a calibration."""
@@ -135,9 +137,26 @@ class Search:
         if self.params.planner != "cem" or self.params.converged == 0:
             return False
         _, costs, weights = self.seen
-        worst = torch.where(weights > 0, costs, -torch.inf).amax()
-        highest, lowest = torch.stack([worst, self.best[0][0]]).tolist()
-        return lowest < INFEASIBLE and highest - lowest < self.params.converged
+        if len(self.space.modes) == 1:
+            spread = torch.where(weights > 0, costs, -torch.inf).amax().double() - self.best[0][0].double()
+        else:
+            spread = torch.stack([_spread(costs, weights, kind) for kind in self._kinds()]).amax().double()
+        lowest, apart = torch.stack([self.best[0][0].double(), spread]).tolist()
+        return lowest < INFEASIBLE and apart < self.params.converged
+
+    def _kinds(self) -> list[torch.Tensor]:
+        """Which candidates [B] begin with a stroke of each mode."""
+        return [self.proposals[:, 0, 0] == mode for mode in self.space.modes]
+
+    def _weights(self, costs: torch.Tensor) -> torch.Tensor:
+        """Weights [B] of the candidates, summing to 1: those of each mode to one half, if any of it can be carried out."""
+        if len(self.space.modes) == 1:
+            return _weights(costs, self.params)
+        weights = torch.zeros_like(costs)
+        for kind in self._kinds():
+            if (costs[kind] < INFEASIBLE).any():
+                weights[kind] = _weights(costs[kind], self.params)
+        return weights / weights.sum() if weights.any() else _weights(costs, self.params)
 
     def _draw(self) -> None:
         """The next proposals."""
@@ -158,12 +177,18 @@ def _candidates(seen: list[tuple[Strokes, torch.Tensor, torch.Tensor]], iteratio
     return Candidates(Strokes.stack(looked).to("cpu"), torch.stack(found).cpu(), torch.stack(weights).cpu())
 
 
+def _spread(costs: torch.Tensor, weights: torch.Tensor, kind: torch.Tensor) -> torch.Tensor:
+    """How far the worst elite of a kind [B] is behind the best (m)."""
+    elites = costs[kind & (weights > 0)]
+    return elites.amax() - elites.amin() if len(elites) else costs.new_zeros(())
+
+
 def _weights(costs: torch.Tensor, params: PlanParams) -> torch.Tensor:
     """Weights [B] of candidates with costs [B], summing to 1."""
     if params.planner == "mppi":
         return torch.softmax(-costs / params.temperature, 0)
     weights = torch.zeros_like(costs)
-    elites = costs.argsort()[: max(2, round(params.elites * params.samples))]
+    elites = costs.argsort()[: max(2, round(params.elites * len(costs)))]
     return weights.index_fill_(0, elites, 1 / len(elites))
 
 

@@ -145,8 +145,7 @@ def test_the_mode_that_works_is_chosen():
     plan = search(SQUARE, pushed_only, cost, BOTH, samples=60)
     assert plan.strokes.mode[0] == PUSH
     modes = plan.candidates.strokes.mode[:, :, 0]
-    assert (modes[0] == PICK).float().mean() > 0.3
-    assert (modes[-1] == PICK).float().mean() < 0.1
+    assert all(0.3 < (drawn == PICK).float().mean() < 0.7 for drawn in modes), "the other goes on"
 
 
 def test_what_was_looked_at_is_kept():
@@ -227,6 +226,8 @@ def test_a_search_goes_on_while_nothing_is_feasible(planner):
     class Lucky:
         """At first every stroke misses; what is drawn next does not."""
 
+        modes = (PUSH,)
+
         def sample(self, shape, generator):
             return torch.zeros(*shape, 5)
 
@@ -242,6 +243,22 @@ def test_a_search_goes_on_while_nothing_is_feasible(planner):
     plan = Search(sure(carried), cost, Lucky(), params, generator)(SQUARE)
     assert plan is not None
     assert plan.cost == pytest.approx(0.1 * math.sqrt(2), rel=1e-4)
+
+
+@pytest.mark.parametrize("planner", ["cem", "mppi"])
+def test_picks_are_sought_on_although_most_harm_where_pushes_change_nothing(planner):
+    """The object is carried as far as the pick goes, and pushes leave it: 2 cm off, one pick in three hundred helps."""
+
+    def foresee(positions, strokes):
+        return positions + torch.nn.functional.pad(strokes.along, (0, 1))[:, None] * (strokes.mode == PICK)[:, None, None]
+
+    params = PlanParams(samples=100, cem_iterations=6, planner=planner, temperature=0.002, noise=0.05, min_length=0.005)
+    cost, generator = make_cost("distance", SQUARE + torch.tensor([0.02, 0.01, 0.0]), 36), torch.Generator().manual_seed(0)
+    plan = Search(sure(foresee), cost, replace(BOTH, min_length=0.005), params, generator)(SQUARE)
+    assert int(plan.strokes.mode[0]) == PICK
+    assert plan.cost < 0.01
+    first = plan.candidates.strokes.mode[:, :, 0]
+    assert all(30 < int((modes == PICK).sum()) < 70 for modes in first)
 
 
 def test_layers_of_a_folded_object_are_as_far_apart_as_they_are():

@@ -136,9 +136,10 @@ class PlanParams(PredictionParams, EnvironmentParams):
     accept: Annotated[tuple[str, ...], BeforeValidator(split_commas)] = Field(
         (), description="checks of a look that may be bad, as in `look --accept`: NAME,..."
     )
-    keep: Literal["resample", "track"] = Field(
-        "resample",
-        description="particles with --look cameras: fresh ones at every look, or carried on by 5 Hz frames of the stroke",
+    keep: Literal["auto", "resample", "track"] = Field(
+        "auto",
+        description="particles with --look cameras: fresh ones at every look, or carried on by 5 Hz frames of the stroke; auto "
+        "carries on those of sheets",
     )
     sight: Annotated[SightParams, BeforeValidator(split_pairs)] = Field(
         SightParams(), description="how the cameras of --look cameras see: NAME=VALUE,... (docs/trials.md)"

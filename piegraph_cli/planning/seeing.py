@@ -19,6 +19,7 @@ from piegraph_cli.environments.sight import Sight
 from piegraph_cli.errors import UsageError
 from piegraph_cli.perception.judgement import JUDGED
 from piegraph_cli.perception.look import Look, LookSettings
+from piegraph_cli.physics.sheet_mesh import is_sheet
 from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.episode import Episode, draw_task, tool_of, within
 from piegraph_cli.planning.expected import require_goal
@@ -68,7 +69,7 @@ def play_seen(
     require_goal(there, first.cloud, eyes.settings.particles, eyes.settings.sizes, scene.cameras)
     loop = _Loop(environment, sight, eyes, within(params, environment.walls), trained, there, device)
     loop.seed, loop.tool = [params.seed, 2, start, goal], tool_of(environment)
-    if params.keep == "track":
+    if params.keep == "track" or (params.keep == "auto" and is_sheet(first.cloud)):
         loop.track(first, scene)
     return loop.run(first, true, None if drawn is None else drawn.copies)
 

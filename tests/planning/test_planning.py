@@ -250,10 +250,15 @@ def test_picks_are_sought_on_although_most_harm_where_pushes_change_nothing(plan
     """The object is carried as far as the pick goes, and pushes leave it: 2 cm off, one pick in three hundred helps."""
 
     def foresee(positions, strokes):
-        return positions + torch.nn.functional.pad(strokes.along, (0, 1))[:, None] * (strokes.mode == PICK)[:, None, None]
+        return (
+            positions + torch.nn.functional.pad(strokes.along, (0, 1))[:, None] * (strokes.mode == PICK)[:, None, None]
+        )
 
     params = PlanParams(samples=100, cem_iterations=6, planner=planner, temperature=0.002, noise=0.05, min_length=0.005)
-    cost, generator = make_cost("distance", SQUARE + torch.tensor([0.02, 0.01, 0.0]), 36), torch.Generator().manual_seed(0)
+    cost, generator = (
+        make_cost("distance", SQUARE + torch.tensor([0.02, 0.01, 0.0]), 36),
+        torch.Generator().manual_seed(0),
+    )
     plan = Search(sure(foresee), cost, replace(BOTH, min_length=0.005), params, generator)(SQUARE)
     assert int(plan.strokes.mode[0]) == PICK
     assert plan.cost < 0.01

@@ -1,8 +1,12 @@
 """Planning through cameras: looks follow what is rendered and nothing else, and what cannot be seen is never pushed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 
+from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.environments import make
 from piegraph_cli.environments.base import TIP_HEIGHT
 from piegraph_cli.environments.params import SightParams
@@ -11,13 +15,19 @@ from piegraph_cli.environments.sight import Sight
 from piegraph_cli.environments.trouble import Cover
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.evaluation.metrics import nearest_distance
+from piegraph_cli.params import PICK
 from piegraph_cli.perception.look import LookSettings, look
 from piegraph_cli.physics.particles import Sizes, size_of
+from piegraph_cli.planning import eyes as eyes_module
+from piegraph_cli.planning import seeing
+from piegraph_cli.planning.costs import make_cost
 from piegraph_cli.planning.expected import require_goal
 from piegraph_cli.planning.eyes import Eyes, Near, Unseen
 from piegraph_cli.planning.params import PlanParams
+from piegraph_cli.planning.search import Plan
 from piegraph_cli.planning.seeing import alike, play_seen
 from piegraph_cli.planning.tracked import Tracked
+from piegraph_cli.recording.checks import Check
 from piegraph_cli.recording.film import Scene
 
 HERE, THERE = np.array([-0.12, 0.05, 0.3]), np.array([0.15, -0.08, 2.0])
@@ -88,6 +98,50 @@ def test_keeping_particles_by_tracking_carries_the_same_ones_on(block):
     assert np.linalg.norm(true, axis=1).mean() > 0.01
     near = np.linalg.norm(before[None] - tracked.rest[:, None], axis=-1).argmin(1)
     assert np.linalg.norm(found - tracked.rest - true[near], axis=1).mean() < 0.008
+
+
+def test_particles_of_a_sheet_are_carried_on_and_know_their_places_in_the_goal_when_it_is_folded(monkeypatch):
+    """One corner is taken 12 cm inwards: the sheet's own shape is not in the goal any more."""
+
+    def fold(positions, tried):
+        corner = positions[(positions[:, 0] + positions[:, 1]).argmax(), :2]
+        pick = Strokes.of(corner.numpy(), corner.numpy() - 0.085, PICK)
+        return Plan(pick[None], positions[None], 0.0, None, torch.zeros(1))
+
+    monkeypatch.setattr(seeing, "make_planner", lambda trained, rest, goal, *_: (cost_of(goal, rest), fold))
+    found = play_seen(make("cloth"), None, PlanParams(**SETTINGS | {"env": "cloth"}), start=0, goal=0)
+    (first, last), (before, after) = found.states, found.true
+    near = np.linalg.norm(before[None] - first[:, None], axis=-1).argmin(1)
+    moved = np.linalg.norm(after - before, axis=1)
+    assert moved.max() > 0.1
+    assert np.linalg.norm(last - first - (after - before)[near], axis=1).mean() < 0.02
+    assert found.metric == "distance"
+
+
+def cost_of(goal, rest):
+    assert goal.particles is not None
+    return make_cost("distance", torch.as_tensor(goal.particles), len(rest))
+
+
+def test_edges_are_judged_in_the_first_look_alone(block, monkeypatch):
+    """Folds and shadows look like depth that is not registered, which it was a look ago."""
+    seen = iter(["good", "bad"])
+    eyes, sight = Eyes(LookSettings()), Sight(block)
+    wrong = Check(
+        "edges", ("cam0",), 20.0, "px", 4.0, "bad", "edges lie elsewhere", "depth is not registered to colour"
+    )
+
+    def judged(*arguments):
+        found = look(*arguments)
+        return replace(found, checks=[*found.checks, *([wrong] if next(seen) == "bad" else [])])
+
+    monkeypatch.setattr(eyes_module, "look", judged)
+    assert eyes.see(sight.shoot)[0].verdict == "good"
+    assert eyes.see(sight.shoot)[0].verdict == "good"
+    assert not eyes.said
+    seen = iter(["bad"] * 3)
+    with pytest.raises(Unseen, match="not registered"):
+        Eyes(LookSettings()).see(sight.shoot)
 
 
 def with_part(shoot, part, after: int):
@@ -219,7 +273,7 @@ def test_a_cloth_that_is_folded_in_its_place_is_not_there(monkeypatch):
     folded = np.where(over[:, None], flat * [-1, 1, 1] + [2 * edge, 0, 0.012], flat)
     goal = look(*shoot(Sight(cloth), flat)).cloud
     monkeypatch.setattr(Sight, "shoot", lambda self, shape=None, tip=None: shoot(self, folded, tip))
-    settings = PlanParams(**SETTINGS | {"env": "cloth"})
+    settings = PlanParams(**SETTINGS | {"env": "cloth", "keep": "resample"})
     found = play_seen(cloth, None, settings, goal, start=0, goal=0)
     assert (found.ending, len(found.steps)) == ("strokes spent", 1)
     assert found.start_distance > settings.success

@@ -17,6 +17,7 @@ from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.environments.base import TIP_HEIGHT
 from piegraph_cli.environments.sight import Sight
 from piegraph_cli.errors import UsageError
+from piegraph_cli.params import PUSH
 from piegraph_cli.perception.judgement import JUDGED
 from piegraph_cli.perception.look import Look, LookSettings
 from piegraph_cli.physics.sheet_mesh import is_sheet
@@ -112,7 +113,7 @@ class _Loop:
 
     def track(self, first: Look, scene: Scene) -> None:
         """Keep the particles of a first look, which know from then on where in the goal they belong, however they lie."""
-        self.tracked = Tracked(first, scene, self.eyes.settings, TIP_HEIGHT)
+        self.tracked = Tracked(first, scene, self.eyes.settings)
         self.whole = Goal.of_cloud(self.there, first.cloud, self.tracked.rest, self._rigid)
 
     def run(self, first: Look, true: np.ndarray, copies: np.ndarray | None) -> Episode:
@@ -197,7 +198,9 @@ class _Loop:
         after, _, _, _, info = self.environment.step(stroke.action())
         self.true.append(after)
         if self.tracked is not None:
-            self.tracked.follow(self.sight, info, int(stroke.mode))
+            hand, mode = np.asarray(info["pusher"], float), int(stroke.mode)
+            lower = np.array([0, 0, TIP_HEIGHT if mode == PUSH else 0.0])
+            self.tracked.follow(hand, mode, lambda k: self.sight.shoot(info["shapes"][k], hand[k] - lower))
         tip = info["pusher"][-1] * [1, 1, 0] + [0, 0, self.params.approach_height] if self.params.sight.arm else None
         near = Near(self.seen.cloud, length)
         try:

@@ -1,15 +1,13 @@
 """Particles that are carried on from look to look by the frames in between, as a recording's are: what folds needs this."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
 
 from piegraph_cli.environments.base import FRAME_RATE
-from piegraph_cli.environments.sight import Sight
-from piegraph_cli.params import PICK, PUSH
+from piegraph_cli.params import PICK
 from piegraph_cli.perception.look import Look, LookSettings, look
 from piegraph_cli.physics.follower import Follower, Grip
 from piegraph_cli.physics.params import TrackParams
@@ -25,9 +23,8 @@ from piegraph_cli.recording.film import Scene
 class Tracked:
     """The tracked particles of one object, from a look at it on: a sheet, or what is followed by its springs."""
 
-    def __init__(self, first: Look, scene: Scene, settings: LookSettings, tool_height: float):
-        """`tool_height` (m): how far the lower end of the tool is below its middle while it pushes."""
-        self.settings, self.tool_height, self.cloud = settings, tool_height, first.cloud
+    def __init__(self, first: Look, scene: Scene, settings: LookSettings):
+        self.settings, self.cloud = settings, first.cloud
         params = TrackParams(particles=settings.particles, tracked=max(TrackParams().tracked, settings.particles))
         self.views, self.follower = _views(first, scene), None
         self.sheet: SheetTracker | None = None
@@ -43,14 +40,13 @@ class Tracked:
         self.rest = chosen[: settings.particles].astype(np.float32)
         """[N, 3] metres: the particles at rest, as they were first seen."""
 
-    def follow(self, sight: Sight, info: dict[str, Any], mode: int) -> None:
-        """Follow a stroke by its frames on the way, `info` of the environment's step; the tool is in view."""
-        hand = np.asarray(info["pusher"], float)
-        grip = self._begin(hand, mode == PICK)
-        lower = np.array([0, 0, self.tool_height if mode == PUSH else 0.0])
-        self.last = len(hand) - 1
+    def follow(self, hand: np.ndarray, mode: int, shoot: Callable[[int], Scene]) -> None:
+        """Follow a stroke in which the tool is at `hand` [F, 3] (m), at 5 Hz: `shoot` gives the images of a frame on the way,
+        1 to F - 2, in which the tool is in view.
+        """
+        grip, self.last = self._begin(hand, mode == PICK), len(hand) - 1
         for frame in range(1, self.last):
-            scene = sight.shoot(info["shapes"][frame], hand[frame] - lower)
+            scene = shoot(frame)
             self._on(frame, look(*scene, self.settings), scene, grip)
 
     def settle(self, seen: Look, scene: Scene) -> np.ndarray:

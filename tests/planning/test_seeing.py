@@ -89,10 +89,11 @@ def test_keeping_particles_by_tracking_carries_the_same_ones_on(block):
     """Of a short push, so that there are few frames."""
     eyes, sight = Eyes(LookSettings()), Sight(block)
     first, scene = eyes.see(sight.shoot)
-    tracked, before = Tracked(first, scene, eyes.settings, TIP_HEIGHT), block.particles()
+    tracked, before = Tracked(first, scene, eyes.settings), block.particles()
     beside = tracked.rest[tracked.rest[:, 0].argmin(), :2] - np.array([0.03, 0])
     after, _, _, _, info = block.step({"start": beside, "end": beside + np.array([0.06, 0]), "mode": 0})
-    tracked.follow(sight, {name: values[::3] for name, values in info.items() if name in ("shapes", "pusher")}, 0)
+    hand, shapes = info["pusher"][::3].astype(float), info["shapes"][::3]
+    tracked.follow(hand, 0, lambda k: sight.shoot(shapes[k], hand[k] - [0, 0, TIP_HEIGHT]))
     found = tracked.settle(*eyes.see(sight.shoot))
     true = after - before
     assert np.linalg.norm(true, axis=1).mean() > 0.01

@@ -17,6 +17,7 @@ from piegraph_cli.planning.expected import (
     check_against,
     check_folds,
     check_goal,
+    check_laid,
     check_object,
     check_shape,
     require_level,
@@ -96,7 +97,9 @@ def answer(
     if there is not None and trained is not None and trained.sizes is not None:
         said = check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
         if not said and len(there) >= len(seen) and rest is None:
-            said = check_against(thinned(there, STATE_POINTS), thinned(cloud, STATE_POINTS), len(seen), trained.sizes)
+            few, now = thinned(there, STATE_POINTS), thinned(cloud, STATE_POINTS)
+            said = check_against(few, now, len(seen), trained.sizes)
+            said = said or check_laid(few, now, seen, target, trained.sizes)
         warnings += said or (check_shape(target, trained.sizes) if len(there) >= len(seen) else [])
     shape = seen if rest is None else moved(finite(rest, "rest"), T)
     found = Answer(**vars(plan_once(trained, seen, target, params, device, shape)))

@@ -42,6 +42,10 @@ SCALED, ALIKE = 0.06, 0.02
 """Share by which a goal is larger or smaller in length and width from which that is said, and by how much these differ."""
 BESIDE_TOP, SEEN = 0.004, 0.6
 """Metres beside a point of a goal's upper side within which one of the object's is the same, and the share that has one."""
+FLAT, LEVEL = 0.5, 0.006
+"""Share of the upper side that lies so near (m) to its top in things whose tops can be compared: of round ones, that are laid
+a little aside, they tilt.
+"""
 TILTED, HIGHER, GROWN, UNEVEN = 1.8, 0.0025, 0.035, 0.05
 """Degrees, metres, and a share of its size, by which a goal differs that is the object laid there, from which that is said;
 and by how much its size may differ from one direction to another. Good looks at a block end at 0.7, 0.0006 and 0.03.
@@ -242,10 +246,11 @@ def _grown(goal: np.ndarray, now: np.ndarray) -> tuple[float, float]:
 
 def _tops_apart(goal: np.ndarray, now: np.ndarray) -> tuple[float, float] | None:
     """How far (m) the upper side of a goal [G, 3] lies above that of the object laid there [P, 3] (m), in its middle, and its
-    tilt (deg); None where they hardly overlap.
+    tilt (deg); None where they hardly overlap, and of things without a flat top.
     """
     goal, now = (points[points[:, 2] > np.percentile(points[:, 2], HEIGHTS[1]) / 2] for points in (goal, now))
-    if min(len(goal), len(now)) < DENSE:
+    flat = now[:, 2] > np.percentile(now[:, 2], HEIGHTS[1]) - LEVEL
+    if min(len(goal), len(now)) < DENSE or flat.mean() < FLAT:
         return None
     apart, near = cKDTree(now[:, :2]).query(goal[:, :2])
     same = apart < BESIDE_TOP

@@ -258,6 +258,13 @@ def test_small_differences_from_the_object_laid_there_are_said_of_what_never_ben
         assert f" mm {'above' if lift > 0 else 'below'} that of the object" in laid(there + np.array([0, 0, lift]))[0]
 
 
+def test_a_round_thing_laid_a_little_aside_is_not_tilted():
+    sizes, _, (cloud, *others) = seen("toy")
+    particles = choose_particles(cloud, 50)
+    for goal in (*others, move_in_plane(cloud, (0.1, 0.05, 1.0)) + np.float32([0.003, 0, 0])):
+        assert check_laid(goal, cloud, particles, Goal.of_cloud(goal, cloud, particles), sizes) == []
+
+
 @pytest.mark.parametrize(
     "order", [np.arange(50)[::-1], np.random.default_rng(0).permutation(50), np.roll(range(50), 7)]
 )

@@ -79,8 +79,7 @@ def find_cause(
 ) -> Cause:
     """What explains the faults of the cameras `bad`, by trying it.
 
-    `planes` per camera in its frame (m), `poses` [4, 4], `depth_scales` as they are given (m per unit), `faults` of
-    the chosen tables, `suspect` those that are not good, `limits` of what is bad.
+    `planes` are in each camera's frame (m), `poses` [4, 4], `depth_scales` (m per unit), `suspect` those that are not good.
     """
 
     def likely(fault: Fault) -> float:

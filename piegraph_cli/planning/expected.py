@@ -15,6 +15,7 @@ from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError
 from piegraph_cli.perception.size import UNLIKE, check_size
 from piegraph_cli.physics.particles import THICKNESS, Size, Sizes, choose_particles, size_of
+from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
 from piegraph_cli.physics.springs import build_springs
 from piegraph_cli.planning.goals import Goal
 from piegraph_cli.recording.camera import Camera
@@ -39,6 +40,22 @@ RAISED, EVEN = 0.006, 0.003
 """Metres by which all of a goal is higher or lower from which that is said, and by how much its low and its high differ."""
 SCALED, ALIKE = 0.06, 0.02
 """Share by which a goal is larger or smaller in length and width from which that is said, and by how much these differ."""
+BESIDE_TOP, SEEN = 0.004, 0.6
+"""Metres beside a point of a goal's upper side within which one of the object's is the same, and the share that has one."""
+FLAT, LEVEL = 0.5, 0.006
+"""Share of the upper side that lies so near (m) to its top in things whose tops can be compared: of round ones, that are laid
+a little aside, they tilt.
+"""
+TILTED, HIGHER, GROWN, UNEVEN = 1.8, 0.0025, 0.035, 0.05
+"""Degrees, metres, and a share of its size, by which a goal differs that is the object laid there, from which that is said;
+and by how much its size may differ from one direction to another. Good looks at a block end at 0.7, 0.0006 and 0.03.
+"""
+DIRECTIONS, EDGES = 36, (1, 99)
+"""In which widths are compared, between these percentiles."""
+ROUNDS, ROBUST = 6, 3.7
+"""Of a plane through differences of height, and times their median beyond which they count for nothing."""
+BY_HEIGHT = 0.0012
+"""Metres within which what is so many times as large is so many times as high."""
 UNITS, TOO_LARGE = (("millimetres", 1000.0), ("centimetres", 100.0), ("inches", 39.37)), 20.0
 """What others write for metres, and how many times too large a thing is from which its numbers are no metres."""
 BESIDE, STAYS, SHUFFLED = 6, 2, 1.5
@@ -186,6 +203,67 @@ def check_against(goal: np.ndarray, cloud: np.ndarray, count: int, sizes: Sizes)
             f"{text}\n  try: check depth_scale, K and units of the one of them that is not as large as the thing"
         )
     return said
+
+
+def check_laid(goal: np.ndarray, cloud: np.ndarray, particles: np.ndarray, target: Goal, sizes: Sizes) -> list[str]:
+    """A word on a goal cloud [G, 3] (m) where the object, laid as it fits best, is tilted, higher, lower or of another scale.
+
+    The object, which never bends, is seen as a cloud [P, 3] with particles [N, 3] (m), which are in `target` where its shape
+    was found.
+    """
+    if sizes.bends:
+        return []
+    there = Goal.of_cloud(goal, cloud, particles, rigid=True) if target.particles is None else target
+    assert there.particles is not None
+    motion = planar_fit(particles[:, :2], there.particles[0][:, :2])
+    now = np.column_stack([moved_in_plane(cloud[:, :2], motion), cloud[:, 2]])
+    grown, uneven = _grown(goal, now)
+    found = _tops_apart(goal, now)
+    if found is None:
+        return []
+    lift, tilt = found
+    by_height = (grown - 1) * float(np.percentile(now[:, 2], HEIGHTS[1]))
+    remedy = "look at object and goal with one calibration"
+    if tilt > TILTED:
+        return [f"the goal: it is tilted by {tilt:.1f} deg against the object on the table\n  try: {remedy}"]
+    if abs(grown - 1) > GROWN and uneven < UNEVEN and abs(lift - by_height) < BY_HEIGHT and lift * (grown - 1) > 0:
+        text = f"the goal: it is {grown:.2f} times as large as the object now, in all directions"
+        return [f"{text}\n  try: check depth_scale, K and units of the one of them that is not as large as the thing"]
+    if abs(lift) > HIGHER:
+        side = "above" if lift > 0 else "below"
+        return [f"the goal: its top lies {abs(lift) * 1000:.1f} mm {side} that of the object\n  try: {remedy}"]
+    return []
+
+
+def _grown(goal: np.ndarray, now: np.ndarray) -> tuple[float, float]:
+    """How many times as wide a goal [G, 3] is as the object laid there [P, 3] (m), and how that differs by direction."""
+    angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    along = np.stack([np.cos(angles), np.sin(angles)])
+    low, high = (np.percentile(points[:, :2] @ along, EDGES, axis=0) for points in (goal, now))
+    ratio = (low[1] - low[0]) / np.maximum(high[1] - high[0], 1e-3)
+    return float(np.median(ratio)), float(ratio.std())
+
+
+def _tops_apart(goal: np.ndarray, now: np.ndarray) -> tuple[float, float] | None:
+    """How far (m) the upper side of a goal [G, 3] lies above that of the object laid there [P, 3] (m), in its middle, and its
+    tilt (deg); None where they hardly overlap, and of things without a flat top.
+    """
+    goal, now = (points[points[:, 2] > np.percentile(points[:, 2], HEIGHTS[1]) / 2] for points in (goal, now))
+    flat = now[:, 2] > np.percentile(now[:, 2], HEIGHTS[1]) - LEVEL
+    if min(len(goal), len(now)) < DENSE or flat.mean() < FLAT:
+        return None
+    apart, near = cKDTree(now[:, :2]).query(goal[:, :2])
+    same = apart < BESIDE_TOP
+    if same.mean() < SEEN or same.sum() < DENSE:
+        return None
+    above = goal[same, 2] - now[near[same], 2]
+    places = np.column_stack([np.ones(len(above)), goal[same, :2] - now[:, :2].mean(0)])
+    kept = np.ones(len(above), bool)
+    for _ in range(ROUNDS):
+        plane = np.linalg.lstsq(places[kept], above[kept], rcond=None)[0]
+        off = np.abs(above - places @ plane)
+        kept = off <= max(ROBUST * float(np.median(off[kept])), ON_TABLE / 10)
+    return float(plane[0]), float(np.degrees(np.arctan(np.hypot(plane[1], plane[2]))))
 
 
 def _no_metres(ratio: float) -> tuple[str, str] | None:

@@ -11,12 +11,13 @@ import numpy as np
 
 from piegraph_cli.dynamics.models import Trained
 from piegraph_cli.errors import DataError, UsageError
-from piegraph_cli.physics.particles import choose_particles
+from piegraph_cli.physics.particles import Sizes, choose_particles
 from piegraph_cli.planning.episode import Episode, plan_once
 from piegraph_cli.planning.expected import (
     check_against,
     check_folds,
     check_goal,
+    check_laid,
     check_object,
     check_shape,
     require_level,
@@ -94,13 +95,24 @@ def answer(
         require_level(there, cloud)
     target = wanted(trained, params, cloud, seen, there, corresponds)
     if there is not None and trained is not None and trained.sizes is not None:
-        said = check_goal(thinned(there, STATE_POINTS), len(seen), trained.sizes)
-        if not said and len(there) >= len(seen) and rest is None:
-            said = check_against(thinned(there, STATE_POINTS), thinned(cloud, STATE_POINTS), len(seen), trained.sizes)
-        warnings += said or (check_shape(target, trained.sizes) if len(there) >= len(seen) else [])
+        warnings += _doubts_of_goal(there, cloud, seen, target, trained.sizes, rest is None)
     shape = seen if rest is None else moved(finite(rest, "rest"), T)
     found = Answer(**vars(plan_once(trained, seen, target, params, device, shape)))
     return replace(found, warnings=(*warnings, *_hopes(found)))
+
+
+def _doubts_of_goal(
+    goal: np.ndarray, cloud: np.ndarray, particles: np.ndarray, target: Goal, sizes: Sizes, whole: bool
+) -> list[str]:
+    """A word on a goal cloud [G, 3] (m) for an object that is seen as `cloud` [P, 3] with `particles` [N, 3] (m).
+
+    Where the state is a `whole` cloud, and no particles that were tracked, the two are held against each other.
+    """
+    few, now = thinned(goal, STATE_POINTS), thinned(cloud, STATE_POINTS)
+    said, large = check_goal(few, len(particles), sizes), len(goal) >= len(particles)
+    if not said and large and whole:
+        said = check_against(few, now, len(particles), sizes) or check_laid(few, now, particles, target, sizes)
+    return said or (check_shape(target, sizes) if large else [])
 
 
 def _hopes(found: Answer) -> list[str]:

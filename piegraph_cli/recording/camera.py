@@ -12,6 +12,8 @@ UNDISTORT_ITERATIONS = 20
 SKEW = 0.01
 """What the second number of intrinsics may be, as a share of the focal length; it is not used."""
 
+FAR_MIDDLE = 0.2
+"""Share of an image's size by which the middle of its lens lies beside its own only where K is that of other images."""
 BENT_BACK = 1.0
 """Pixels within which a lens that is undone and applied again has to come back."""
 
@@ -24,6 +26,21 @@ def check_intrinsics(K: np.ndarray, name: str, where: str) -> np.ndarray:
         why = ": it is transposed" if np.allclose(K[:2, 2], 0) and K[2, :2].any() else ""
         raise DataError(f"{name} is no matrix of intrinsics{why}", where, "its rows are fx 0 cx, 0 fy cy, 0 0 1")
     return K
+
+
+def check_transform(T: np.ndarray, name: str, where: str, hint: str) -> np.ndarray:
+    """A matrix [4, 4], if it is a rigid transform. Raises `DataError` where it is not."""
+    if np.allclose(T[:, 3], [0, 0, 0, 1]) and T[3, :3].any():
+        raise DataError(f"{name} is transposed: it has the translation in its last row", where, "write its transpose")
+    if not np.allclose(T[3], [0, 0, 0, 1]):
+        raise DataError(f"{name} must be a finite 4 x 4 rigid transform", where, hint)
+    if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+        if np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3):
+            raise DataError(
+                f"the rotation in {name} is mirrored: its axes are left-handed", where, "negate one of them"
+            )
+        raise DataError(f"the rotation in {name} is singular or not a rotation", where, hint)
+    return T
 
 
 def check_lens(K: np.ndarray, distortion: np.ndarray, size: tuple[int, int], name: str, where: str) -> None:
@@ -42,11 +59,12 @@ def check_lens(K: np.ndarray, distortion: np.ndarray, size: tuple[int, int], nam
         right = np.abs(back - pixels).max(1) <= BENT_BACK
     if not right.all():
         x, y = pixels[np.flatnonzero(~right)[0]]
-        raise DataError(
-            f"{name} cannot be undone: around pixel {x:.0f}, {y:.0f} it folds the image",
-            where,
-            "the order is k1 k2 p1 p2 k3 k4 k5 k6; for a fisheye model undistort the images and give zeros",
-        )
+        text = f"{name} cannot be undone: around pixel {x:.0f}, {y:.0f} it folds the image"
+        hint = "the order is k1 k2 p1 p2 k3 k4 k5 k6; for a fisheye model undistort the images and give zeros"
+        if np.abs(K[:2, 2] / size - 0.5).max() > FAR_MIDDLE:
+            text += f"; K has its middle at {K[0, 2]:.0f}, {K[1, 2]:.0f} px, far from that of {size[0]} x {size[1]}"
+            hint = "give K of images of this size: its first two rows, times what the images were resized by"
+        raise DataError(text, where, hint)
 
 
 @dataclass(frozen=True)

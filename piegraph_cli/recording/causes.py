@@ -8,7 +8,7 @@ import numpy as np
 
 from piegraph_cli.recording.checks import listed
 from piegraph_cli.recording.planes import Plane
-from piegraph_cli.recording.slips import COMBINED, UNCOMMON, Change, made
+from piegraph_cli.recording.slips import COMBINED, PLACES, UNCOMMON, Change, made
 
 MOST_PERMUTED = 4
 """Up to so many cameras, every exchange of their poses is tried; of more, exchanges of two."""
@@ -79,8 +79,7 @@ def find_cause(
 ) -> Cause:
     """What explains the faults of the cameras `bad`, by trying it.
 
-    `planes` per camera in its frame (m), `poses` [4, 4], `depth_scales` as they are given (m per unit), `faults` of
-    the chosen tables, `suspect` those that are not good, `limits` of what is bad.
+    `planes` are in each camera's frame (m), `poses` [4, 4], `depth_scales` (m per unit), `suspect` those that are not good.
     """
 
     def likely(fault: Fault) -> float:
@@ -92,6 +91,7 @@ def find_cause(
     found = (
         _swapped(suspect, names, poses, worst)
         or _changed(bad, poses, depth_scales, worst, table)
+        or (_changed(bad, poses, depth_scales, worst, table, PLACES) if _large(bad, faults, 2) else None)
         or _scaled(bad, faults, poses, names, table)
         or (_leaning([planes[c][0] for c in bad], [poses[c] for c in bad], bad) if len(bad) == len(poses) else None)
         or _stretched(bad, faults, depth_scales, table)
@@ -108,8 +108,10 @@ def find_cause(
     )
 
 
-def _large(bad: Sequence[int], faults: Sequence[Fault]) -> bool:
-    return all(abs(faults[c].offset) > LARGE[0] or faults[c].tilt > LARGE[1] for c in bad)
+def _large(bad: Sequence[int], faults: Sequence[Fault], least: int = 1) -> bool:
+    """Whether so many cameras are bad, and most of them by far."""
+    far = sum(abs(faults[c].offset) > LARGE[0] or faults[c].tilt > LARGE[1] for c in bad)
+    return len(bad) >= least and 2 * far > len(bad)
 
 
 def _changed(

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import stat
+import unicodedata
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,8 @@ COMPRESSED_BAGS = (*BAGS, ".zstd")
 """With those of a file that ROS 2 compressed as a whole."""
 PACKED = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst")
 """Endings of archives."""
+SYSTEM = ("@eaDir", "__MACOSX", "lost+found", "$RECYCLE.BIN", "System Volume Information")
+"""Folders that network disks, archives and file systems put among others."""
 LONGEST_NAME = 200
 """Bytes of a sequence's name."""
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -72,6 +75,10 @@ def _named(sequences: list[Path]) -> list[Path]:
         except UnicodeEncodeError:
             shown = os.fsencode(path).decode("utf-8", "backslashreplace")
             raise DataError("its name is no UTF-8 text", shown, "rename the folder") from None
+        if any(unicodedata.category(letter) == "Cc" for letter in path.name):
+            raise DataError(
+                "its name has a line break or another control character", repr(str(path)), "rename the folder"
+            )
         if len(path.name.encode()) > LONGEST_NAME:
             raise DataError(
                 "the name is too long for a sequence", str(path), f"rename it: at most {LONGEST_NAME} bytes"
@@ -105,12 +112,14 @@ def _wanted(layout: str) -> list[str]:
 
 
 def entries_of(folder: Path) -> list[Path]:
-    """What is in a folder, nothing in a file; names that begin with a dot are nobody's: desktops and network disks leave them.
+    """What is in a folder, nothing in a file; names that begin with a dot are nobody's, and such as `SYSTEM`: desktops, file
+    systems and network disks leave them.
 
     Raises `DataError` where it cannot be read.
     """
     try:
-        return [path for path in folder.iterdir() if not path.name.startswith(".")] if folder.is_dir() else []
+        inside = folder.iterdir() if folder.is_dir() else ()
+        return [path for path in inside if not path.name.startswith(".") and path.name not in SYSTEM]
     except OSError as error:
         raise unreadable(error, folder) from None
 

@@ -10,3 +10,13 @@ FORMS: dict[Any, str] = {"K": _LENS, "depth_K": _LENS, "T_world_camera": _POSE, 
     "cameras": "give an object that has each camera under its name",
 }
 """How to write what a field of cameras.json holds."""
+
+
+def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON. Raises `KeyError` for a name that is there twice, of which readers take the last."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise KeyError(name)
+        found[name] = value
+    return found

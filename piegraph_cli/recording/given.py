@@ -32,6 +32,13 @@ def _explained(check: Check, cameras: Sequence[Camera]) -> Check:
         if len(check.cameras) == 1 and check.cause:  # its table may be wrong for another reason as well
             cause, remedy = f"{cause}; {check.cause}", f"{remedy}; {check.remedy}"
         return replace(check, cause=cause, remedy=remedy)
+    lens = next((camera.name for camera in cameras if is_world(camera)), None)
+    if lens and check.name in ("table", "view"):
+        return replace(
+            check,
+            cause=f"the world is that of {lens}, whose T_world_camera is the identity",
+            remedy="piegraph calibrate RECORDING --table moves all cameras so that the table is z = 0",
+        )
     beside = [camera for camera in of_check if _beside(camera) > BESIDE]
     if beside and len(check.cameras) > 1:
         camera = beside[0]
@@ -42,6 +49,11 @@ def _explained(check: Check, cameras: Sequence[Camera]) -> Check:
         )
         return replace(check, cause=cause, remedy="give K of the images as they are; otherwise " + check.remedy)
     return check
+
+
+def is_world(camera: Camera) -> bool:
+    """Whether a camera's own frame is the world, as calibrations of several cameras alone leave it."""
+    return bool(np.abs(camera.T_world_camera - np.eye(4)).max() < SAME)
 
 
 def _sharing(camera: Camera, cameras: Sequence[Camera]) -> list[str]:

@@ -16,11 +16,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from piegraph_cli.errors import DataError
 from piegraph_cli.files import atomic_file
-from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics, check_lens
+from piegraph_cli.recording.camera import Camera, DepthView, check_intrinsics, check_lens, check_transform
 from piegraph_cli.recording.encoded import MOST_BYTES, MOST_PIXELS, decode_image
 from piegraph_cli.recording.folders import entries_of
-from piegraph_cli.recording.forms import FORMS
-from piegraph_cli.recording.numbers import Number, by_number
+from piegraph_cli.recording.forms import FORMS, once
+from piegraph_cli.recording.numbers import Number, by_number, number_of, pair_files
 from piegraph_cli.recording.text import read_rows, read_text
 
 LAYOUT_VERSION = 1
@@ -77,14 +77,15 @@ def read_cameras_file(path: Path) -> CamerasFile:
     text = read_text(path, "copy or write it again, as UTF-8")
     try:
         entries = CamerasFile.model_validate_json(text)
+        json.loads(text, object_pairs_hook=once)
     except ValidationError as error:
         problem = error.errors()[0]
         place = ".".join(str(p) for p in problem["loc"])
         message = f"{place}: {problem['msg']}" if place else problem["msg"]
-        form = next(
-            (FORMS[part] for part in reversed(problem["loc"]) if part in FORMS), "see docs/formats.md for the fields"
-        )
-        raise DataError(message, str(path), form) from None
+        field = next((part for part in reversed(problem["loc"]) if isinstance(part, str)), "")
+        raise DataError(message, str(path), FORMS.get(field, "see docs/formats.md for the fields")) from None
+    except KeyError as error:
+        raise DataError(f"{error.args[0]} is there twice", str(path), "leave the right one") from None
     if entries.version != LAYOUT_VERSION:
         message = f"layout version {entries.version}, this piegraph reads version {LAYOUT_VERSION}"
         raise DataError(message, str(path), "update piegraph")
@@ -177,17 +178,6 @@ def _transform(values: list[list[float]], name: str, where: str, hint: str) -> n
     return check_transform(_matrix(values, 4, name, where), name, where, hint)
 
 
-def check_transform(T: np.ndarray, name: str, where: str, hint: str) -> np.ndarray:
-    """A matrix [4, 4], if it is a rigid transform. Raises `DataError` where it is not."""
-    if np.allclose(T[:, 3], [0, 0, 0, 1]) and T[3, :3].any():
-        raise DataError(f"{name} is transposed: it has the translation in its last row", where, "write its transpose")
-    if not np.allclose(T[3], [0, 0, 0, 1]):
-        raise DataError(f"{name} must be a finite 4 x 4 rigid transform", where, hint)
-    if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
-        raise DataError(f"the rotation in {name} is singular or not a rotation", where, hint)
-    return T
-
-
 def read_times(sequence: Path, camera: Camera) -> np.ndarray:
     """Time stamps [frame] of one camera in seconds, as they are in its file."""
     path = sequence / camera.name / "timestamps.txt"
@@ -207,15 +197,18 @@ def read_times(sequence: Path, camera: Camera) -> np.ndarray:
 def frame_files(sequence: Path, camera: Camera) -> list[tuple[Path, Path]]:
     """(colour, depth) image paths of one camera in the order of the numbers in their names; each has its partner."""
     color, depth = image_files(sequence, camera, "color"), image_files(sequence, camera, "depth")
-    odd = sorted(color.keys() ^ depth.keys())
+    partner = pair_files(color, depth)
+    odd = [path for path in color.values() if path not in partner]
+    odd += [path for path in depth.values() if path not in partner.values()]
     if odd:
+        first = min(odd, key=number_of)
         raise DataError(
             f"{len(color)} colour and {len(depth)} depth images; "
-            f"first unpaired frame {(color.get(odd[0]) or depth[odd[0]]).stem}",
+            f"first unpaired frame {first.stem} of {first.parent.name}",
             str(sequence / camera.name),
             "each frame needs color/NNNNNN.jpg and depth/NNNNNN.png",
         )
-    return [(path, depth[number]) for number, path in color.items()]
+    return [(path, partner[path]) for path in color.values()]
 
 
 def image_files(sequence: Path, camera: Camera, kind: Literal["color", "depth"]) -> dict[Number, Path]:
@@ -237,10 +230,13 @@ def read_color(path: Path, camera: Camera) -> bytes:
 
     data, image = _decoded(path, cv2.IMREAD_COLOR, camera.name)
     if image.shape[:2] != (camera.height, camera.width):
+        hint = "correct width, height and K in cameras.json"
+        if image.shape[:2] == (camera.width, camera.height):
+            hint = "turn the images back (their EXIF orientation counts), or calibrate with them as they are"
         raise DataError(
             f"image is {image.shape[1]} x {image.shape[0]}, cameras.json says {camera.width} x {camera.height}",
             str(path),
-            "correct width, height and K in cameras.json",
+            hint,
         )
     return data
 

@@ -10,7 +10,7 @@ import numpy as np
 from piegraph_cli.errors import DataError
 
 Number = tuple[Decimal, ...]
-"""The numbers in a file's name, in order; the last one counts frames."""
+"""The numbers in a file's name, in order; the last one that is not the same in all counts frames."""
 
 
 def number_of(path: Path) -> Number:
@@ -36,13 +36,33 @@ def by_number(files: Sequence[Path]) -> dict[Number, Path]:
     return dict(sorted(found.items()))
 
 
+def counted(files: Sequence[Path]) -> list[Decimal]:
+    """What counts the frames of files: the last number in their names that is not the same in all, as a size is."""
+    numbers = [number_of(path) for path in files]
+    if len(numbers) < 2 or len({len(number) for number in numbers}) > 1:
+        return [number[-1] for number in numbers]
+    columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
+    return list(columns[-1]) if columns else [number[-1] for number in numbers]
+
+
+def pair_files(one: dict[Number, Path], other: dict[Number, Path]) -> dict[Path, Path]:
+    """The partner in `other` of each file of `one`, by number; where the names share none, as `color_1` and `depth16_1`, by
+    what counts in each.
+    """
+    if not one.keys() & other.keys():
+        ours, theirs = (dict(zip(counted(list(of.values())), of.values(), strict=True)) for of in (one, other))
+        if len(ours) == len(one) and len(theirs) == len(other):
+            return {path: theirs[number] for number, path in ours.items() if number in theirs}
+    return {path: other[number] for number, path in one.items() if number in other}
+
+
 def match_stamps(files: Sequence[Path], stamps: int, where: str) -> tuple[np.ndarray, list[str]]:
     """The line of timestamps.txt (from 0) of each image, for images in order of their numbers, and warnings.
 
     As many lines as images: in order. Otherwise by number, if the lines are as many as the numbers from the first image
     to the last. Raises `DataError` naming both counts where it is neither.
     """
-    numbers = [number_of(path)[-1] for path in files]
+    numbers = counted(files)
     steps = np.diff(np.array(numbers, float))
     lines = np.arange(len(files))
     if len(files) == stamps:
@@ -61,7 +81,7 @@ def match_stamps(files: Sequence[Path], stamps: int, where: str) -> tuple[np.nda
 
 def frame_gaps(files: Sequence[Path], where: str) -> list[str]:
     """A word on gaps between the numbers of images in their order, if there are any."""
-    steps = np.diff([float(number_of(path)[-1]) for path in files])
+    steps = np.diff(np.array(counted(files), float))
     odd = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
     if not len(odd):
         return []
@@ -71,6 +91,6 @@ def frame_gaps(files: Sequence[Path], where: str) -> list[str]:
 
 def frame_numbers(files: Sequence[Path]) -> np.ndarray:
     """What each image is called by, int64 [image]: the number in its name, or its place where that is no whole number."""
-    numbers = [number_of(path)[-1] for path in files]
+    numbers = counted(files)
     whole = all(n == int(n) and n < 2**62 for n in numbers) and len(set(numbers)) == len(numbers)
     return np.array([int(n) for n in numbers] if whole else range(len(files)), np.int64)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,7 @@ def read_sequence(
     _check_byte_order(folder, films, there)
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
+    _check_copied(folder, cameras, images, blind)
     warnings += _check_frozen(folder, cameras, *stopped)
     source = np.where(stopped[0] & (source >= 0), ~source, source)
     arrays = images | tool | _camera_arrays(cameras)
@@ -179,6 +181,20 @@ def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None
             str(folder / cameras[c].name / "depth"),
             "check that depth was recorded, or leave the camera out: its folder, and what cameras.json has of it",
         )
+
+
+def _check_copied(folder: Path, cameras: list[Camera], images: dict[str, np.ndarray], blind: np.ndarray) -> None:
+    """Refuse two cameras whose images are the same byte for byte: one folder was copied over, or given twice."""
+    kinds = [(images[kind], images[f"{kind}_offsets"]) for kind in ("color", "depth")]
+    encoded = [[data[a:b].tobytes() for a, b in pairwise(offsets)] for data, offsets in kinds]
+    for one, other in combinations(range(len(cameras)), 2):
+        seen = np.flatnonzero(~blind[:, [one, other]].any(1)) * len(cameras)
+        if len(seen) and all(of[f + one] == of[f + other] for of in encoded for f in seen):
+            raise DataError(
+                f"cameras {cameras[one].name} and {cameras[other].name} have the same images",
+                str(folder),
+                "one of the folders is a copy: bring back its own images, or leave the camera out",
+            )
 
 
 def _check_frozen(folder: Path, cameras: list[Camera], color: np.ndarray, depth: np.ndarray) -> list[str]:

@@ -11,7 +11,7 @@ from piegraph_cli.recording import layout
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.folders import list_sequences
 from piegraph_cli.recording.images import decode_color
-from piegraph_cli.recording.numbers import match_stamps, number_of
+from piegraph_cli.recording.numbers import match_stamps, pair_files
 from piegraph_cli.recording.registration import register_depth
 from piegraph_cli.recording.timing import check_times, pair_frames
 
@@ -57,8 +57,8 @@ class Shots:
         """Depth uint16 [H, W] on colour's pixels; None where there is none, or it cannot be read: then it says nothing."""
         folder, of = self.sequences[self.sequence[instant]], self.cameras[camera]
         try:
-            file = layout.image_files(folder, of, "depth")[number_of(self.files[camera][instant])]
-            depth = layout.read_depth(file, of)
+            color, files = (layout.image_files(folder, of, kind) for kind in ("color", "depth"))
+            depth = layout.read_depth(pair_files(color, files)[self.files[camera][instant]], of)
             return register_depth(depth, of) if of.depth_view else depth
         except (DataError, LookupError):
             return None

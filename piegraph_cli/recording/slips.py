@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,16 @@ def _parts(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 def _long(T: np.ndarray, unit: float) -> np.ndarray:
     return _parts(T[:3, :3], T[:3, 3] * unit)
+
+
+def _vector(T: np.ndarray) -> np.ndarray:
+    """The rotation of a pose as a vector [3], radians."""
+    return Rotation.from_matrix(T[:3, :3]).as_rotvec()
+
+
+def _reread(T: np.ndarray, by: int) -> np.ndarray:
+    """A pose the numbers of whose quaternion come in another order, `by` places on."""
+    return _parts(Rotation.from_quat(np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), by)).as_matrix(), T[:3, 3])
 
 
 def _shrunk(T: np.ndarray) -> np.ndarray:
@@ -79,7 +90,7 @@ DEPTHS = (AS_IS, *(Change("depth", "", scale=s) for s in (0.001, 0.25, 4.0, 1000
 _Y_BACK, _Y_Z = np.diag([1.0, -1, 1, 1]), np.eye(4)[[0, 2, 1, 3]]
 _LINK = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """The axes of an image, x right and y down, in those of a body that looks along its x with z up."""
-RARE = (
+_PLACES = (
     Change(
         "taking the poses as centimetres", "divide the translation by 100: it is in metres", lambda T: _long(T, 0.01)
     ),
@@ -87,9 +98,32 @@ RARE = (
         "taking the poses as inches", "multiply the translation by 0.0254: it is in metres", lambda T: _long(T, 0.0254)
     ),
     Change(
+        "taking the place in T_world_camera as that of the world in the camera (OpenCV's tvec)",
+        "give the camera's place in the world, -R tvec, beside camera-to-world rotations R",
+        lambda T: _parts(T[:3, :3], -T[:3, :3] @ T[:3, 3]),
+    ),
+)
+RARE = (
+    *_PLACES,
+    Change(
         "transposing the rotation of T_world_camera",
         "write camera-to-world rotations beside the camera's place in the world",
         lambda T: _parts(T[:3, :3].T, T[:3, 3]),
+    ),
+    Change(
+        "reading the quaternion with w last, where w was taken to be first,",
+        "make the rotation of the quaternion x, y, z, w again",
+        lambda T: _reread(T, 1),
+    ),
+    Change(
+        "reading the quaternion with w first, where w was taken to be last,",
+        "make the rotation of the quaternion w, x, y, z again",
+        lambda T: _reread(T, -1),
+    ),
+    Change(
+        "taking the rotation vector as radians, where degrees were made of it,",
+        "make the rotation of the vector in radians again",
+        lambda T: _parts(Rotation.from_rotvec(np.degrees(_vector(T))).as_matrix(), T[:3, 3]),
     ),
     Change(
         "turning the camera's axes (these are those of a body with x forward and z up, as ROS's camera_link),",
@@ -105,6 +139,11 @@ RARE = (
         "turning the world, since its x points up,",
         "turn the world by -90 degrees about y: z points up, away from the table",
         lambda T: _turned(T, np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])),
+    ),
+    Change(
+        "turning the world, since its x points down,",
+        "turn the world by 90 degrees about y: z points up, away from the table",
+        lambda T: _turned(T, np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),
     ),
     Change(
         "turning the world, since its y points down,",
@@ -134,3 +173,5 @@ COMBINED = sorted(
 )
 _USUAL = [change for change in (*LENGTHS, *INVERSES, *AXES, *UPS) if change is not AS_IS]
 UNCOMMON: list[tuple[Change, ...]] = [*((rare,) for rare in RARE), *product(_USUAL, RARE)]
+PLACES: list[tuple[Change, ...]] = [(change,) for change in _PLACES]
+"""Slips of the cameras' places alone, which leave the table level: so would a table at another height."""

@@ -13,6 +13,7 @@ from piegraph_cli.recording import layout
 from piegraph_cli.recording.axes import Shown
 from piegraph_cli.recording.camera import Camera
 from piegraph_cli.recording.checks import listed
+from piegraph_cli.recording.given import is_world
 from piegraph_cli.recording.ground import rest_on
 from piegraph_cli.recording.locate import write_cameras
 from piegraph_cli.recording.planes import TOLERANCE, Plane, Rays, find_planes
@@ -50,7 +51,8 @@ class Leveled:
 def level_by_table(recording: Path, sequences: Sequence[str]) -> Leveled:
     """Move all cameras of a recording as one so that the table in depth is z = 0; write cameras.json.
 
-    x and y stay as near as can be to what they were. A camera that is alone may have no pose: its world begins on the
+    x and y stay as near as can be to what they were, but where the world is a camera's own frame: it begins on the table in
+    the middle of that one's view, with y away from it. A camera that is alone may have no pose: its world begins on the
     table in the middle of its view, with y away from it. Raises `DataError` where no table is found, or cameras disagree.
     """
     shots = read_shots(recording, sequences, LOOKS)
@@ -68,8 +70,11 @@ def level_by_table(recording: Path, sequences: Sequence[str]) -> Leveled:
         M, height, tilt, off = np.eye(4), 0.0, 0.0, {cameras[0].name: (0.0, 0.0)}
         cameras = [replace(cameras[0], T_world_camera=pose_over(planes[0][0], cameras[0], where))]
     else:
+        first = _out_of_lens(cameras, planes, where)
+        cameras = [replace(camera, T_world_camera=first @ camera.T_world_camera) for camera in cameras]
         M, height, tilt, off = move_to_table(cameras, planes, clouds, where)
         cameras = [replace(camera, T_world_camera=M @ camera.T_world_camera) for camera in cameras]
+        M = M @ first
     noted: dict[str, Any] = {}
     notes = list(shots.notes)
     robot = layout.read_cameras_file(path).T_world_robot
@@ -115,6 +120,12 @@ def pose_over(plane: Plane, camera: Camera, where: str) -> np.ndarray:
     T_camera_world[:3, :3] = np.column_stack([np.cross(y, up), y, up])
     T_camera_world[:3, 3] = ray * plane.distance / toward
     return np.linalg.inv(T_camera_world)
+
+
+def _out_of_lens(cameras: Sequence[Camera], planes: Sequence[Sequence[Plane]], where: str) -> np.ndarray:
+    """The motion [4, 4] of a world that is one camera's own frame to one on its table; of others none."""
+    lens = next((k for k, camera in enumerate(cameras) if is_world(camera)), None)
+    return np.eye(4) if lens is None else pose_over(planes[lens][0], cameras[lens], where)
 
 
 def move_to_table(

@@ -12,6 +12,8 @@ COUNTED = 8
 """Steps of whole numbers up to this one count frames: of milliseconds they would be 125 frames a second."""
 UNITS = ((1e3, 1e3, "milliseconds"), (1e6, 1e6, "microseconds"), (np.inf, 1e9, "nanoseconds"))
 """Step (s) up to which time stamps are in a unit, how many of it a second has, and its name."""
+TICKS = ((1e17, 1e18), 1e7, "ticks of 100 ns")
+"""The same of what Windows counts since 1601, or since year 1: since 1970 it is more nanoseconds."""
 COUNTS = "time stamps are in seconds: divide frame numbers by the frames a second"
 LONGEST_GAP, GAP = 10.0, 1.0
 """Seconds without a frame that are refused, and that are said, where they are also many times the usual step."""
@@ -78,7 +80,9 @@ def _check_rate(times: np.ndarray, steps: np.ndarray, where: str) -> list[str]:
     if 1 / usual < SLOWEST:
         if counted:
             raise DataError(f"time stamps are {frames}", where, COUNTS)
-        _, in_second, unit = next(row for row in UNITS if usual < row[0])
+        _, in_second, unit = (
+            TICKS if TICKS[0][0] <= times[0] < TICKS[0][1] else next(row for row in UNITS if usual < row[0])
+        )
         message = f"{1 / usual:.2g} frames a second: are these {unit}?"
         raise DataError(message, where, f"time stamps are in seconds: divide by {in_second:.0f}")
     if 1 / usual > FASTEST:

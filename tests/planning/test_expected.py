@@ -1,11 +1,13 @@
 """What a plan is asked about is held against the trained object: other things, a table or a hand are said, good clouds not."""
 
 import functools
+import re
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from piegraph_cli import environments
 from piegraph_cli.dynamics.models import Trained
@@ -13,7 +15,14 @@ from piegraph_cli.dynamics.stroke import Strokes
 from piegraph_cli.errors import DataError, UsageError
 from piegraph_cli.physics.particles import Sizes, _rectangle, choose_particles
 from piegraph_cli.physics.rigid import moved_in_plane, planar_fit
-from piegraph_cli.planning.expected import check_against, check_folds, check_object, require_level, require_order
+from piegraph_cli.planning.expected import (
+    check_against,
+    check_folds,
+    check_laid,
+    check_object,
+    require_level,
+    require_order,
+)
 from piegraph_cli.planning.goals import Goal, move_in_plane
 from piegraph_cli.planning.model import Model
 from piegraph_cli.planning.params import PlanParams
@@ -221,7 +230,39 @@ def test_a_goal_of_another_scale_or_height_is_said():
         (said,) = check_against(cloud + np.array([0.1, 0, lift]), cloud, 50, sizes)
         assert f"it lies 10 mm {'above' if lift > 0 else 'below'} the table" in said
     bending, _, (rope, bent, *_) = seen("rope-bendy")
+    assert check_laid(bent, rope, choose_particles(rope, 50), Goal(bent), bending) == []
     assert check_against(bent, rope, 50, bending) == []
+
+
+def tilted(cloud: np.ndarray, degrees: float, axis: int) -> np.ndarray:
+    middle = cloud.mean(0) * np.array([1, 1, 0])
+    return (cloud - middle) @ Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis]).as_matrix().T + middle
+
+
+def test_small_differences_from_the_object_laid_there_are_said_of_what_never_bends():
+    sizes, _, (cloud, *others) = seen("tblock")
+    particles = choose_particles(cloud, 50)
+
+    def laid(goal: np.ndarray) -> list[str]:
+        return check_laid(goal, cloud, particles, Goal.of_cloud(goal, cloud, particles), sizes)
+
+    for goal in (*others, move_in_plane(cloud, (0.1, 0.05, 1.0)), cloud[cloud[:, 0] < np.quantile(cloud[:, 0], 0.9)]):
+        assert laid(goal) == []
+    there = move_in_plane(cloud, (0.1, 0.05, 1.0))
+    for axis in (0, 1):
+        assert "it is tilted by" in laid(tilted(there, 3.0, axis))[0]
+    for factor in (0.95, 1.05):
+        (told,) = re.findall(r"it is ([0-9.]+) times as large", laid(there * factor)[0])
+        assert float(told) == pytest.approx(factor, abs=0.011)
+    for lift in (0.004, -0.004):
+        assert f" mm {'above' if lift > 0 else 'below'} that of the object" in laid(there + np.array([0, 0, lift]))[0]
+
+
+def test_a_round_thing_laid_a_little_aside_is_not_tilted():
+    sizes, _, (cloud, *others) = seen("toy")
+    particles = choose_particles(cloud, 50)
+    for goal in (*others, move_in_plane(cloud, (0.1, 0.05, 1.0)) + np.float32([0.003, 0, 0])):
+        assert check_laid(goal, cloud, particles, Goal.of_cloud(goal, cloud, particles), sizes) == []
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from piegraph_cli.environments.rig import camera_rig, look_at
 from piegraph_cli.recording.camera import Camera
@@ -235,10 +236,26 @@ UNCOMMON = {
     "camera_link": (lambda T: T @ np.linalg.inv(LINK), "ROS's camera_link., puts the table"),
     "turned over": (lambda T: T @ np.diag([-1.0, -1, 1, 1]), "turning the camera by 180 degrees .* puts the table"),
     "left-handed": (lambda T: Y_BACK @ T @ Y_BACK, "turning the camera by 180 degrees .*are poses left-handed"),
+    "tvec": (lambda T: rigid(T[:3, :3], -T[:3, :3].T @ T[:3, 3]), r"the world in the camera \(OpenCV's tvec\) puts"),
+    "w first": (lambda T: requaternion(T, 1), "with w first, where w was taken to be last, puts"),
+    "w last": (lambda T: requaternion(T, -1), "with w last, where w was taken to be first, puts"),
+    "degrees": (
+        lambda T: rigid(Rotation.from_rotvec(np.radians(vector(T))).as_matrix(), T[:3, 3]),
+        "taking the rotation vector as radians, .* puts",
+    ),
+    "x down": (lambda T: rotated(1, -90) @ T, "its x points down, puts the table"),
     "x up": (lambda T: rotated(1, 90) @ T, "its x points up, puts the table"),
     "y down": (lambda T: rotated(0, 90) @ T, "its y points down, puts the table"),
     "Unity": (lambda T: np.eye(4)[[0, 2, 1, 3]] @ T @ Y_BACK, "left-handed with y up .* puts"),
 }
+
+
+def vector(T):
+    return Rotation.from_matrix(T[:3, :3]).as_rotvec()
+
+
+def requaternion(T, by):
+    return rigid(Rotation.from_quat(np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), by)).as_matrix(), T[:3, 3])
 
 
 def rigid(rotation, translation):

@@ -61,6 +61,15 @@ def test_tilt_and_height_are_taken_out_of_all_cameras_as_one(views, tmp_path):
     assert abs(again["height_mm"]) < 0.01
 
 
+def test_a_world_that_is_one_cameras_own_is_laid_on_the_table(views, tmp_path):
+    lens = np.linalg.inv(RIG[1].T_world_camera)
+    recording = write_views(tmp_path / "rec", with_poses(views, lambda k, T: np.eye(4) if k == 1 else lens @ T))
+    to = ("ingest", "--recording", recording, "--run", tmp_path / "run")
+    assert "the world is that of cam1, whose T_world_camera is the identity" in piegraph(*to, check=3).stderr
+    piegraph("calibrate", recording, "--table")
+    assert piegraph(*to).stderr == ""
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

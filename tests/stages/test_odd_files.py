@@ -71,6 +71,7 @@ STAMPS = [
     (lambda t: "\n".join(f"{np.float32(1.7e9 + x)}" for x in t), "7 of 8 time stamps repeat the one before"),
     (lambda t: "\n".join(f"{k} {x}" for k, x in enumerate(t)), "timestamps.txt, line 1: has 2 numbers"),
     (lambda t: "\n".join(f"{x:.3f}".replace(".", ",") for x in t), "'0,000' is no number: its decimal comma"),
+    (lambda t: "\n".join(f"{int(1.34e17 + x * 1e7)}" for x in t), "are these ticks of 100 ns?"),
     (lambda t: "\n".join(f"12:00:{x:06.3f}" for x in t), "line 1: '12:00:00.000' is no number"),
 ]
 
@@ -97,6 +98,8 @@ ENTRIES = [
     ("T_world_camera", T[:3].tolist(), "the last one 0, 0, 0, 1"),
     ("T_world_camera", [0.1, 0.2, 0.8, 1, 0, 0, 0], "of a quaternion or a rotation vector make the matrix first"),
     ("T_world_camera", T.T.tolist(), "T_world_camera is transposed: it has the translation in its last row"),
+    ("T_world_camera", (np.diag([1.0, -1, 1, 1]) @ T).tolist(), "the rotation in T_world_camera is mirrored"),
+    ("depth_scale", "", "see docs/formats.md for the fields"),
     ("distortion", [[0, 0, 0, 0, 0]], "give one list of 4, 5, 8, 12 or 14 numbers"),
 ]
 
@@ -111,6 +114,63 @@ def test_how_a_field_of_cameras_json_is_written_is_told(recording, tmp_path, fie
     assert message in said
     assert "front" in said
     assert field in said
+
+
+def test_a_name_that_is_twice_in_cameras_json_is_refused(recording, tmp_path):
+    path = recording / "cameras.json"
+    path.write_text(path.read_text().replace('"width"', '"depth_scale": 0.001, "width"', 1))
+    assert "cameras.json: depth_scale is there twice" in failure(recording, tmp_path / "run")
+
+
+def test_intrinsics_of_smaller_images_are_told_where_the_lens_folds_by_them(recording, tmp_path):
+    path = recording / "cameras.json"
+    entries = json.loads(path.read_text())
+    entries["cameras"]["front"] |= {"K": [[20, 0, 8], [0, 20, 6], [0, 0, 1]], "distortion": [-0.4, 0.1, 0, 0, 0]}
+    path.write_text(json.dumps(entries))
+    assert "K has its middle at 8, 6 px, far from that of 64 x 48" in failure(recording, tmp_path / "run")
+
+
+@pytest.mark.parametrize("names", [("color_{}", "depth16_{}"), ("{}_rgb8", "{}"), ("{}_64x48", "{}_64x48")])
+def test_numbers_that_are_the_same_in_all_names_count_nothing(recording, tmp_path, names):
+    before = frames_of(recording, tmp_path / "before")
+    for camera in ("front", "left cam"):
+        for kind, name in zip(("color", "depth"), names, strict=True):
+            for path in sorted((recording / "seq 0" / camera / kind).iterdir()):
+                path.rename(path.with_name(name.format(int(path.stem)) + path.suffix))
+    after = frames_of(recording, tmp_path / "after")
+    for array in ("color", "depth", "source_frame"):
+        np.testing.assert_array_equal(after[array], before[array])
+
+
+def test_folders_of_the_system_are_nobodys(recording, tmp_path):
+    for name in ("@eaDir", "__MACOSX", "lost+found"):
+        (recording / "seq 0" / name / "color").mkdir(parents=True)
+        (recording / name / "front" / "color").mkdir(parents=True)
+    assert len(frames_of(recording, tmp_path / "run")["time"]) == 8
+
+
+@pytest.mark.parametrize(("folder", "entry"), [("Front", "front"), ("gro\u0308n", "gr\xf6n")])
+def test_a_folder_that_is_spelled_otherwise_than_its_camera_is_told(recording, tmp_path, folder, entry):
+    path = recording / "cameras.json"
+    entries = json.loads(path.read_text())
+    entries["cameras"][entry] = entries["cameras"].pop("front")
+    path.write_text(json.dumps(entries))
+    (recording / "seq 0" / "front").rename(recording / "seq 0" / folder)
+    said = failure(recording, tmp_path / "run")
+    assert f"rename the folder: cameras.json has {entry!a}, the folder is called {folder!a}" in said
+
+
+def test_a_camera_whose_folder_is_a_copy_is_refused(recording, tmp_path):
+    for kind in ("color", "depth"):
+        for path in sorted((recording / "seq 0" / "front" / kind).iterdir()):
+            (recording / "seq 0" / "left cam" / kind / path.name).write_bytes(path.read_bytes())
+    assert "cameras front and left cam have the same images" in failure(recording, tmp_path / "run")
+
+
+def test_images_that_are_turned_are_told_from_such_of_another_size(recording, tmp_path):
+    for path in (recording / "seq 0" / "front" / "color").iterdir():
+        cv2.imwrite(str(path), np.rot90(cv2.imread(str(path))))
+    assert "turn the images back (their EXIF orientation counts)" in failure(recording, tmp_path / "run")
 
 
 def test_a_list_of_cameras_is_told_how_to_write_it(recording, tmp_path):
@@ -131,13 +191,13 @@ def test_files_and_folders_that_are_no_recording_are_told_apart(recording, tmp_p
             list_sequences(place)
 
 
-@pytest.mark.parametrize("name", [b"s\xe9q", b"s" * 240], ids=["latin-1", "long"])
+@pytest.mark.parametrize("name", [b"s\xe9q", b"s" * 240, b"s\n1"], ids=["latin-1", "long", "line break"])
 def test_names_that_no_file_can_have_are_refused(recording, name):
     try:
         os.rename(os.fsencode(recording / "seq 0"), os.fsencode(recording) + b"/" + name)
     except OSError as error:
         pytest.skip(f"this file system has no such names: {error}")
-    with pytest.raises(DataError, match=r"(no UTF-8 text|too long)[^\n]*\n  try: rename"):
+    with pytest.raises(DataError, match=r"(no UTF-8 text|too long|a line break)[^\n]*\n  try: rename"):
         list_sequences(recording)
 
 

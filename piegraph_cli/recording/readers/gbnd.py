@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera
+from piegraph_cli.recording.camera import Camera, check_transform
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import entries_of
-from piegraph_cli.recording.layout import check_transform, image_size
+from piegraph_cli.recording.layout import image_size
 from piegraph_cli.recording.numbers import by_number, frame_gaps, frame_numbers
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.plain import load_numbers

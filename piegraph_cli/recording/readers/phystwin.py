@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera, check_intrinsics
+from piegraph_cli.recording.camera import Camera, check_intrinsics, check_transform
 from piegraph_cli.recording.film import Film
 from piegraph_cli.recording.folders import entries_of
-from piegraph_cli.recording.layout import check_transform, image_size, read_color, read_mask
+from piegraph_cli.recording.layout import image_size, read_color, read_mask
 from piegraph_cli.recording.numbers import by_number, frame_gaps
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.plain import load_depth, load_pickle

@@ -1,5 +1,6 @@
 """The layout of docs/formats.md."""
 
+import unicodedata
 from pathlib import Path
 
 from piegraph_cli.errors import DataError
@@ -19,9 +20,17 @@ def read(folder: Path, params: ReadParams) -> tuple[list[Film], list[str]]:
     unknown = next((name for name in others if name not in {camera.name for camera in cameras}), None)
     if unknown:
         hint = "calibrate it, or leave it out: move its folder away, or begin its name with a dot"
+        alike = next((camera.name for camera in cameras if _plain(camera.name) == _plain(unknown)), None)
+        if alike:
+            hint = f"rename the folder: cameras.json has {alike!a}, the folder is called {unknown!a}"
         raise DataError(f"camera {unknown} has a folder but is not in cameras.json", str(folder), hint)
     read = [read_film(folder, camera) for camera in cameras]
     return [film for film, _ in read], [gap for _, gaps in read for gap in gaps]
+
+
+def _plain(name: str) -> str:
+    """A name without regard to case, and to how its accents are encoded: macOS takes them apart."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def read_film(folder: Path, camera: Camera) -> tuple[Film, list[str]]:

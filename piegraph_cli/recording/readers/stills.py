@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera, check_intrinsics
+from piegraph_cli.recording.camera import Camera, check_intrinsics, check_transform
 from piegraph_cli.recording.film import Film, ImageFiles
 from piegraph_cli.recording.folders import STILL, entries_of
-from piegraph_cli.recording.layout import check_transform, image_size, read_cameras
+from piegraph_cli.recording.layout import image_size, read_cameras
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.text import read_numbers
 

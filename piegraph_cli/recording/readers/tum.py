@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from piegraph_cli.errors import DataError
-from piegraph_cli.recording.camera import Camera, check_lens
+from piegraph_cli.recording.camera import Camera, check_lens, check_transform
 from piegraph_cli.recording.film import Film, ImageFiles
-from piegraph_cli.recording.layout import check_transform, image_size
+from piegraph_cli.recording.layout import image_size
 from piegraph_cli.recording.params import ReadParams
 from piegraph_cli.recording.text import parse_number, read_lines, read_numbers, read_table
 from piegraph_cli.recording.timing import check_times, matched

@@ -145,7 +145,7 @@ class SequenceParams(EnvironmentParams):
 MOST_CAMERAS = 8
 Texture = Literal["plain", "faint", "print"]
 PATTERNED = ("tshirt", "cloth")
-"""Environments of sheets: their object can have a pattern, and is picked up as well as pushed."""
+"""Environments whose object can have a pattern."""
 
 
 class TroubleParams(Params):

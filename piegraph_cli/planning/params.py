@@ -9,7 +9,6 @@ from pydantic import BeforeValidator, Field, model_validator
 from piegraph_cli.dynamics.params import MODEL_NAMES, Label, PredictionParams
 from piegraph_cli.environments.params import (
     ENVIRONMENT_NAMES,
-    PATTERNED,
     EnvironmentName,
     EnvironmentParams,
     EnvironmentSettings,
@@ -57,7 +56,7 @@ SEES = 3
 
 
 WEIGHED = 2
-"""The same of plans with pushes and picks at once: how they are weighed."""
+"""The same of plans with pushes and picks at once, where settings alone tell them: how they are weighed."""
 
 
 class PlanParams(PredictionParams, EnvironmentParams):
@@ -201,7 +200,7 @@ class PlanParams(PredictionParams, EnvironmentParams):
             unsaid |= {"keep", "sight"}
         else:
             frames |= {"sees": SEES}
-        if len(self.modes) > 1 or (not self.modes and self.env in (None, *PATTERNED)):
+        if len(self.modes) > 1 or (not self.modes and self.env in (None, "cloth")):
             frames |= {"weighed": WEIGHED}
         return {name: value for name, value in super().content().items() if name not in unsaid} | frames
 

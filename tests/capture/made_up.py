@@ -1,4 +1,5 @@
-"""Cameras of a made-up make: they see a wall whose grey tells the number of the frame, at the rate that is asked for."""
+"""Cameras of a made-up make: they see a wall whose grey tells the number of the frame, and how far it is which camera it
+is, at the rate that is asked for."""
 
 import math
 import time
@@ -31,7 +32,8 @@ class MadeUp(DepthCamera):
         stamp = self.begin + self.number / self.mode.fps
         time.sleep(max(0.0, stamp - time.time()))
         size = (self.mode.height, self.mode.width)
-        return Shot(stamp + self.delay, np.full((*size, 3), self.number % 200, np.uint8), np.full(size, 900, np.uint16))
+        away = 900 + sum(self.serial.encode()) % 50
+        return Shot(stamp + self.delay, np.full((*size, 3), self.number % 200, np.uint8), np.full(size, away, np.uint16))
 
     def stop(self) -> None:
         self.running = False

@@ -33,7 +33,9 @@ class MadeUp(DepthCamera):
         time.sleep(max(0.0, stamp - time.time()))
         size = (self.mode.height, self.mode.width)
         away = 900 + sum(self.serial.encode()) % 50
-        return Shot(stamp + self.delay, np.full((*size, 3), self.number % 200, np.uint8), np.full(size, away, np.uint16))
+        return Shot(
+            stamp + self.delay, np.full((*size, 3), self.number % 200, np.uint8), np.full(size, away, np.uint16)
+        )
 
     def stop(self) -> None:
         self.running = False

@@ -25,6 +25,7 @@ from tests.recording.test_robot_files import BASE, GRIPPER, held, poses, table, 
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 SMALL = {"train": ("--steps", "30", "--hidden", "8", "--layers", "2")}
 FEW = ("--sequences", "1", "--strokes", "1", "--jobs", "1")
+ONE = ("--envs", "tblock", "--goals", "1", "--seeds", "1", "--strokes", "1")
 TINY = [
     *("simulate.sequences=4", "simulate.strokes=1", "dataset.train=2", "dataset.validation=1"),
     *("train.piegraph.steps=10", "train.piegraph.hidden=8", "train.piegraph.layers=2"),
@@ -34,10 +35,12 @@ SIZES: dict[str, tuple[str, ...]] = {
     r"run (tblock|tshirt)": ("--jobs", "1", *(word for setting in TINY for word in ("--set", setting))),
     r"train .*--model pgnd": ("--steps", "2"),
     r"train (?!.*--model)": SMALL["train"],
-    r"simulate .*--render": (*FEW, "--cameras", "2"),
+    r"simulate .*--trouble": (*FEW, "--cameras", "2"),
+    r"simulate .*--render": (*FEW, "--cameras", "1"),
     r"simulate": FEW,
     r"plan .*--env": ("--samples", "8", "--cem-iterations", "1", "--strokes", "1"),
-    r"trials": ("--envs", "tblock", "--models", "static,piegraph", "--goals", "1", "--seeds", "1", "--strokes", "1"),
+    r"trials .*--look": (*ONE, "--models", "piegraph"),
+    r"trials": (*ONE, "--models", "static,piegraph"),
 }
 """What makes the first command that it fits small: of options given twice the last counts."""
 BOARDS = {

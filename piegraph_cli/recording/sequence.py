@@ -52,7 +52,7 @@ def read_sequence(
     _check_byte_order(folder, films, there)
     cameras = [film.camera for film in films]
     _check_depth(folder, cameras, blind)
-    _check_copied(folder, cameras, images, blind)
+    warnings += _copied(cameras, images, blind)
     warnings += _check_frozen(folder, cameras, *stopped)
     source = np.where(stopped[0] & (source >= 0), ~source, source)
     arrays = images | tool | _camera_arrays(cameras)
@@ -183,18 +183,19 @@ def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None
         )
 
 
-def _check_copied(folder: Path, cameras: list[Camera], images: dict[str, np.ndarray], blind: np.ndarray) -> None:
-    """Refuse two cameras whose images are the same byte for byte: one folder was copied over, or given twice."""
+def _copied(cameras: list[Camera], images: dict[str, np.ndarray], blind: np.ndarray) -> list[str]:
+    """A word on two cameras whose images are the same byte for byte: one folder was copied over, or given twice."""
     kinds = [(images[kind], images[f"{kind}_offsets"]) for kind in ("color", "depth")]
     encoded = [[data[a:b].tobytes() for a, b in pairwise(offsets)] for data, offsets in kinds]
+    warnings = []
     for one, other in combinations(range(len(cameras)), 2):
         seen = np.flatnonzero(~blind[:, [one, other]].any(1)) * len(cameras)
         if len(seen) and all(of[f + one] == of[f + other] for of in encoded for f in seen):
-            raise DataError(
-                f"cameras {cameras[one].name} and {cameras[other].name} have the same images",
-                str(folder),
-                "one of the folders is a copy: bring back its own images, or leave the camera out",
+            warnings.append(
+                f"cameras {cameras[one].name} and {cameras[other].name} have the same images: one of the folders is a copy; "
+                "bring back its own images, or leave the camera out"
             )
+    return warnings
 
 
 def _check_frozen(folder: Path, cameras: list[Camera], color: np.ndarray, depth: np.ndarray) -> list[str]:

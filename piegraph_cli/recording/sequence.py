@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -185,12 +185,11 @@ def _check_depth(folder: Path, cameras: list[Camera], blind: np.ndarray) -> None
 
 def _copied(cameras: list[Camera], images: dict[str, np.ndarray], blind: np.ndarray) -> list[str]:
     """A word on two cameras whose images are the same byte for byte: one folder was copied over, or given twice."""
-    kinds = [(images[kind], images[f"{kind}_offsets"]) for kind in ("color", "depth")]
-    encoded = [[data[a:b].tobytes() for a, b in pairwise(offsets)] for data, offsets in kinds]
+    kinds = [np.split(images[kind], images[f"{kind}_offsets"][1:-1]) for kind in ("color", "depth")]  # views, no copies
     warnings = []
     for one, other in combinations(range(len(cameras)), 2):
         seen = np.flatnonzero(~blind[:, [one, other]].any(1)) * len(cameras)
-        if len(seen) and all(of[f + one] == of[f + other] for of in encoded for f in seen):
+        if len(seen) and all(np.array_equal(of[f + one], of[f + other]) for of in kinds for f in seen):
             warnings.append(
                 f"cameras {cameras[one].name} and {cameras[other].name} have the same images: one of the folders is a copy; "
                 "bring back its own images, or leave the camera out"
